@@ -1,0 +1,1 @@
+"""Compiled functions on bare arrays: one file per algorithm, no classes."""

@@ -1,0 +1,1 @@
+"""Which primitives may touch (candidates) and which do (hits, proximities, contours)."""

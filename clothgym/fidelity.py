@@ -1,0 +1,126 @@
+"""Fidelity: how well a scene is modelled, apart from what is in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from clothgym.arrays import check_choice, check_number
+
+INTEGRATORS = ("xpbd", "symplectic_euler")
+VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
+DETECTIONS = ("hierarchy", "brute_force")
+CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both")
+DOPS = (6, 8, 14, 18, 26)
+ARITIES = (2, 4, 8)
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """How well a scene is modelled. Every field changes a stage or a constant of the pipeline of some scene.
+
+    Attributes:
+        integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
+        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler asks for (XPBD: 8).
+        sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
+        velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
+        stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
+        detection: "hierarchy" (k-DOP tree) or "brute_force".
+        k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
+        arity: children a node: 2, 4, 8.
+        repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.contact.certify`).
+        untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
+        untangling_passes: corrections a step.
+        h0: largest correction of a pass, in mean edge lengths [Volino 2006, eq. 5].
+        g0: gradient at which corrections saturate, dimensionless [Volino 2006, eq. 5].
+        velocity_share: share of a correction that also goes into the velocity, 0 to 1.
+        speed_limit: corrections speed up no vertex beyond this [m/s].
+        contacts_near_hits: beside an intersection, contact locks the wrong side: "keep" it all the same, "off_any" = leave
+            out pairs with a vertex there, "off_both" = leave out pairs with vertices there on both sides.
+        rings: how many edges around a hit count as beside it.
+    """
+
+    integrator: str = "xpbd"
+    substeps: int = 8
+    sweeps: int = 4
+    velocity_modification: str = "none"
+    stretch_limit: float = 0.1
+    detection: str = "hierarchy"
+    k: int = 18
+    arity: int = 4
+    repair_rounds: int = 8
+    untangling: str = "hybrid"
+    untangling_passes: int = 1
+    h0: float = 1.0
+    g0: float = 1.0
+    velocity_share: float = 1.0
+    speed_limit: float = 5.0
+    contacts_near_hits: str = "off_any"
+    rings: int = 1
+
+    def __post_init__(self) -> None:
+        check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
+        check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
+        check_choice(self.detection, "fidelity.detection", DETECTIONS)
+        check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
+        check_number(self.substeps, "fidelity.substeps", 0, 100_000, integer=True)
+        check_number(self.sweeps, "fidelity.sweeps", 1, 10_000, integer=True)
+        check_number(self.stretch_limit, "fidelity.stretch_limit", 0.0, 10.0)
+        check_number(self.repair_rounds, "fidelity.repair_rounds", 0, 1000, integer=True)
+        check_number(self.untangling_passes, "fidelity.untangling_passes", 1, 1000, integer=True)
+        check_number(self.h0, "fidelity.h0", 1e-6, 100.0)
+        check_number(self.g0, "fidelity.g0", 1e-9, 1e9)
+        check_number(self.velocity_share, "fidelity.velocity_share", 0.0, 1.0)
+        check_number(self.speed_limit, "fidelity.speed_limit", 1e-3, 1e3)
+        check_number(self.rings, "fidelity.rings", 0, 10, integer=True)
+        for field, choices in (("k", DOPS), ("arity", ARITIES)):
+            if getattr(self, field) not in choices:
+                raise ValueError(
+                    f"fidelity.{field} = {getattr(self, field)!r}: expected one of {', '.join(map(str, choices))}"
+                )
+        if not isinstance(self.untangling, str) or not self.untangling:
+            raise ValueError(f"fidelity.untangling = {self.untangling!r}: expected the name of a strategy")
+        if self.velocity_modification != "none" and self.integrator != "symplectic_euler":
+            raise ValueError(
+                f"fidelity.velocity_modification = {self.velocity_modification!r}: works with integrator "
+                "'symplectic_euler' only; XPBD limits strain by its constraints"
+            )
+
+    @staticmethod
+    def preset(name: str) -> Fidelity:
+        """ "draft", "balanced" or "accurate".
+
+        Raises:
+            ValueError: another name.
+        """
+        if name not in PRESETS:
+            raise ValueError(f"fidelity = {name!r}: expected one of {', '.join(PRESETS)}, or a Fidelity")
+        return PRESETS[name]
+
+    def to_json(self) -> str:
+        """One JSON object with every field."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @staticmethod
+    def from_json(text: str | dict[str, Any]) -> Fidelity:
+        """Raises ValueError for unknown fields and values out of range, by name."""
+        values = json.loads(text) if isinstance(text, str) else dict(text)
+        known = [f.name for f in dataclasses.fields(Fidelity)]
+        unknown = set(values) - set(known)
+        if unknown:
+            raise ValueError(f"fidelity.{min(unknown)}: unknown field; known: {', '.join(known)}")
+        return Fidelity(**values)
+
+
+PRESETS: dict[str, Fidelity] = {
+    "draft": Fidelity(substeps=4, sweeps=4),
+    "balanced": Fidelity(),
+    "accurate": Fidelity(substeps=16, sweeps=8),
+}
+
+
+def get(fidelity: str | Fidelity) -> Fidelity:
+    """A preset by name, or a Fidelity as it is."""
+    return fidelity if isinstance(fidelity, Fidelity) else Fidelity.preset(fidelity)

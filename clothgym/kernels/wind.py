@@ -1,0 +1,31 @@
+"""Wind as drag across each triangle [Provot 1995]: force = drag * area * ((w - v) . n) n."""
+
+from __future__ import annotations
+
+from clothgym._jit import kernel
+from clothgym.kernels.vec3 import dot, triangle_normal
+
+
+@kernel
+def wind_acceleration(x, v, faces, inverse_masses, wind, drag, acceleration):
+    """Acceleration (V, 3) [m/s^2] from air that moves with velocity `wind` (3,) [m/s]; drag [N s/m^3]."""
+    acceleration[:] = 0.0
+    for f in range(faces.shape[0]):
+        i = faces[f, 0]
+        j = faces[f, 1]
+        k = faces[f, 2]
+        nx, ny, nz, twice_area = triangle_normal(x, i, j, k)
+        speed = dot(
+            nx,
+            ny,
+            nz,
+            wind[0] - (v[i, 0] + v[j, 0] + v[k, 0]) / 3.0,
+            wind[1] - (v[i, 1] + v[j, 1] + v[k, 1]) / 3.0,
+            wind[2] - (v[i, 2] + v[j, 2] + v[k, 2]) / 3.0,
+        )
+        third = drag * 0.5 * twice_area * speed / 3.0
+        for vertex in (i, j, k):
+            w = inverse_masses[vertex]
+            acceleration[vertex, 0] += w * third * nx
+            acceleration[vertex, 1] += w * third * ny
+            acceleration[vertex, 2] += w * third * nz

@@ -1,0 +1,359 @@
+"""The pipeline: an ordered tuple of bound stages, assembled from a scene and a fidelity.
+
+What a scene does not have adds no stage, allocates no array, imports no module and compiles no kernel.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from clothgym.arrays import FloatArray
+from clothgym.fidelity import Fidelity
+from clothgym.kernels import integrate
+from clothgym.kernels.integrate import Grips, Ground, Motion
+from clothgym.model import ClothModel
+from clothgym.state import ClothState
+
+
+class Frame:
+    """What stages share while a step runs: the state, the model, and named buffers."""
+
+    def __init__(self, model: ClothModel, state: ClothState) -> None:
+        self.model = model
+        self.state = state
+        self.predicted: FloatArray = np.zeros((model.vertex_count, 3))
+        self.external: FloatArray = np.zeros((0, 3))
+        self.last_intersections: Any = None
+        self.untangling_passes = 0
+        self.work: dict[str, int] = {}
+        self.set_grips()
+
+    def set_grips(self) -> None:
+        """The grippers' anchors for the coming step, from the state."""
+        state, specs = self.state, self.model.scene.grips
+        held = len(state.held_vertices)
+        counts = np.bincount(state.held_by, minlength=len(specs))[state.held_by] if held else np.ones(0)
+        stiffness = np.array([specs[g].stiffness for g in state.held_by], float) / counts
+        limit = np.array([specs[g].slip_force for g in state.held_by], float) / counts
+        grips = state.grip_positions[state.held_by] if held else np.zeros((0, 3))
+        self.grips = Grips(
+            np.ascontiguousarray(state.held_vertices, np.int32),
+            np.ascontiguousarray(grips + state.held_offsets),
+            np.ascontiguousarray(state.grip_velocities[state.held_by] if held else np.zeros((0, 3))),
+            np.ascontiguousarray(stiffness, float),
+            np.ascontiguousarray(limit, float),
+            np.zeros((held, 3)),
+            np.zeros((held, 3)),
+        )
+
+    def count(self, name: str, amount: int) -> None:
+        """Adds to a work counter."""
+        self.work[name] = self.work.get(name, 0) + int(amount)
+
+
+class Stage(Protocol):
+    """One step of the pipeline. `reads` and `writes` name state arrays and buffers."""
+
+    name: str
+    reads: tuple[str, ...]
+    writes: tuple[str, ...]
+
+    def run(self, frame: Frame) -> None: ...
+
+
+class Pipeline:
+    """Stages in order. `profile` maps stage name to (calls, seconds)."""
+
+    def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float) -> None:
+        self.stages = stages
+        self.substeps, self.dt = substeps, dt
+        self.profile: dict[str, list[float]] = {stage.name: [0, 0.0] for stage in stages}
+
+    def run(self, frame: Frame) -> None:
+        """Advances the frame's state by one step."""
+        for stage in self.stages:
+            started = time.perf_counter()
+            stage.run(frame)
+            entry = self.profile[stage.name]
+            entry[0] += 1
+            entry[1] += time.perf_counter() - started
+
+    def describe(self) -> str:
+        """One line per stage: name, what it reads and writes."""
+        width = max(len(stage.name) for stage in self.stages)
+        lines = [f"step of {self.substeps * self.dt:.6g} s in {self.substeps} substeps of {self.dt:.6g} s"]
+        for number, stage in enumerate(self.stages, 1):
+            lines.append(f"{number}. {stage.name:<{width}}  {', '.join(stage.reads)} -> {', '.join(stage.writes)}")
+        return "\n".join(lines)
+
+
+class _Wind:
+    name, reads, writes = "wind", ("positions", "velocities"), ("external",)
+
+    def __init__(self, model: ClothModel) -> None:
+        from clothgym.kernels.wind import wind_acceleration
+
+        self.kernel: Callable[..., Any] = wind_acceleration
+        self.wind = np.asarray(model.scene.wind, float)
+        self.drag = model.scene.wind_drag
+
+    def run(self, frame: Frame) -> None:
+        if len(frame.external) == 0:
+            frame.external = np.zeros((frame.model.vertex_count, 3))
+        state, model = frame.state, frame.model
+        self.kernel(
+            state.positions, state.velocities, model.faces, model.inverse_masses, self.wind, self.drag, frame.external
+        )
+
+
+class _Step:
+    """Constants that every integrating stage needs."""
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity, substeps: int) -> None:
+        scene = model.scene
+        self.substeps, self.sweeps = substeps, fidelity.sweeps
+        self.dt = scene.step / substeps
+        self.explicit = fidelity.integrator == "symplectic_euler"
+        self.limit = fidelity.stretch_limit if fidelity.velocity_modification != "none" else -1.0
+        self.relative = fidelity.velocity_modification == "relative"
+        self.gravity = np.asarray(scene.gravity, float)
+        self.damping = model.damping
+        self.ground = Ground(-np.inf if scene.ground is None else float(scene.ground), model.friction)
+        self.radii = 0.5 * model.thickness
+        self.multipliers = np.zeros(0 if self.explicit else len(model.spring_rest))
+        self.forces = np.zeros((model.vertex_count if self.explicit else 0, 3))
+        self.label = f"{fidelity.integrator} {substeps}x{1 if self.explicit else fidelity.sweeps}"
+        if self.limit >= 0:
+            self.label += f", velocity modification {fidelity.velocity_modification} above {self.limit:g}"
+
+    def motion(self, frame: Frame) -> Motion:
+        return Motion(
+            self.dt, self.sweeps, self.gravity, self.damping, frame.external, self.limit, self.relative
+        )
+
+
+class _Integrate:
+    """All substeps in one kernel: nothing but springs, grips and ground can act."""
+
+    reads, writes = ("positions", "velocities"), ("positions", "velocities")
+
+    def __init__(self, step: _Step, windy: bool) -> None:
+        self.step = step
+        self.name = f"integrate [{step.label}]"
+        if windy:
+            self.reads = ("positions", "velocities", "external")
+
+    def run(self, frame: Frame) -> None:
+        s, state = self.step, frame.state
+        x, v, p, cloth, motion = state.positions, state.velocities, frame.predicted, frame.model.arrays, self.step.motion(frame)
+        if s.explicit:
+            integrate.euler_substeps(x, v, p, s.forces, cloth, s.radii, motion, s.ground, frame.grips, 0, s.substeps)
+        else:
+            integrate.xpbd_substeps(
+                x, v, p, cloth, s.radii, motion, s.ground, frame.grips, s.multipliers, 0, s.substeps
+            )
+
+
+class _FacePairs:
+    """Pairs of faces whose boxes, swept along the expected motion of the step, overlap."""
+
+    name, reads, writes = "face pairs", ("positions", "velocities"), ("face_pairs",)
+
+    def __init__(self, candidates: Any, scene_step: float, gravity: FloatArray) -> None:
+        self.candidates, self.step, self.gravity = candidates, scene_step, gravity
+
+    def run(self, frame: Frame) -> None:
+        state = frame.state
+        fall = (0.5 * self.step * self.step) * self.gravity
+        free = (frame.model.inverse_masses > 0)[:, None]
+        travel = self.step * state.velocities + np.where(free, fall, 0.0)
+        self.candidates.expect(state.positions, travel)
+        frame.count("face_pairs", len(self.candidates.face_pairs))
+
+
+class _Untangle:
+    """Hits among the face pairs, and the passes of a strategy against them."""
+
+    reads = ("positions", "velocities", "face_pairs")
+    writes = ("positions", "velocities", "face_pairs", "apart")
+
+    def __init__(self, candidates: Any, model: ClothModel, fidelity: Fidelity, pairs: _FacePairs, apart: Any) -> None:
+        from clothgym.detection.intersections import Intersections
+        from clothgym.kernels.untangling import mark_ring
+        from clothgym.response import untangling
+
+        self.name = f"untangle [{fidelity.untangling} x{fidelity.untangling_passes}]"
+        self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
+        self.find, self.mark_ring = Intersections, mark_ring
+        self.strategy = untangling.get(fidelity.untangling)
+        self.context = untangling.Context
+        self.h0 = fidelity.h0 * model.mean_edge
+        self.stack = np.zeros(model.vertex_count, np.int64)
+
+    def run(self, frame: Frame) -> None:
+        state, model, fidelity = frame.state, frame.model, self.fidelity
+        self.apart[:] = False
+        face_pairs = self.candidates.face_pairs
+        assert self.strategy is not None
+        for number in range(fidelity.untangling_passes):
+            if number > 0:
+                self.candidates.tree.refit(state.positions, state.positions, 0.0)
+                face_pairs = self.candidates.tree.self_pairs()
+            hits = self.find(state.positions.copy(), model.surface, face_pairs)
+            frame.count("edge_triangle_tests", hits.edge_triangle_tests)
+            frame.count("hits", hits.hit_count)
+            if hits.hit_count == 0:
+                break
+            frame.untangling_passes += 1
+            context = self.context(hits, model.inverse_masses, model.vertex_areas, self.h0, fidelity.g0)
+            corrections = self.strategy.propose(context)
+            self._apply(frame, corrections.displacements)
+            self.apart[:] = False
+            if fidelity.contacts_near_hits != "keep":
+                edges, faces = model.surface.edges[hits.hit_edge], model.surface.faces[hits.hit_face]
+                seeds = np.unique(np.concatenate([edges.ravel(), faces.ravel()])).astype(np.int64)
+                start, neighbours, _ = model.surface.neighbourhood
+                self.mark_ring(start, neighbours, seeds, fidelity.rings, self.apart, self.stack)
+                if corrections.apart is not None:
+                    self.apart |= corrections.apart
+        else:
+            self.pairs.run(frame)
+            return
+        if number > 0:
+            self.pairs.run(frame)
+
+    def _apply(self, frame: Frame, moved: FloatArray) -> None:
+        state, fidelity = frame.state, self.fidelity
+        state.positions += moved
+        if fidelity.velocity_share == 0.0:
+            return
+        before = np.sqrt(np.einsum("ij,ij->i", state.velocities, state.velocities))
+        state.velocities += (fidelity.velocity_share / frame.model.scene.step) * moved
+        after = np.sqrt(np.einsum("ij,ij->i", state.velocities, state.velocities))
+        allowed = np.maximum(before, fidelity.speed_limit)
+        fast = after > allowed
+        state.velocities[fast] *= (allowed[fast] / after[fast])[:, None]
+
+
+class _PrimitivePairs:
+    name, reads, writes = "primitive pairs", ("positions", "face_pairs"), ("quads",)
+
+    def __init__(self, candidates: Any) -> None:
+        self.candidates = candidates
+
+    def run(self, frame: Frame) -> None:
+        self.candidates.gather()
+        frame.count("primitive_pairs", self.candidates.count)
+
+
+class _ContactSubsteps:
+    """Substeps with contact: predict, closest points, sweeps with contact last, certificate, new velocities."""
+
+    reads, writes = ("positions", "velocities", "quads", "apart"), ("positions", "velocities")
+    _ATTEMPTS = 4
+
+    def __init__(self, step: _Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool) -> None:
+        from clothgym.kernels import contact
+        from clothgym.response.contact import ContactBuffers
+
+        self.step, self.candidates, self.apart, self.kernels = step, candidates, apart, contact
+        self.contacts = ContactBuffers(max(1024, len(model.faces)))
+        self.both = fidelity.contacts_near_hits == "off_both"
+        self.rounds = fidelity.repair_rounds
+        self.name = f"contact substeps [{step.label}: predict, closest points, solve, certify, advance]"
+        if windy:
+            self.reads = (*self.reads, "external")
+
+    def _predict(self, frame: Frame, motion: Motion) -> None:
+        state, cloth = frame.state, frame.model.arrays
+        if self.step.explicit:
+            integrate.euler_predict(
+                state.positions, state.velocities, frame.predicted, self.step.forces, cloth, motion
+            )
+        else:
+            integrate.xpbd_predict(state.positions, state.velocities, frame.predicted, cloth, motion)
+
+    def run(self, frame: Frame) -> None:
+        s, state, model, found = self.step, frame.state, frame.model, self.candidates
+        x, v, p = state.positions, state.velocities, frame.predicted
+        motion = s.motion(frame)
+        base = 0
+        for n in range(s.substeps):
+            self._predict(frame, motion)
+            left = s.substeps - base
+            ahead = max(found.deviation(x, (n - base) / left), found.deviation(p, (n + 1 - base) / left))
+            if base < 0 or ahead > found.slack:
+                base, left = n, s.substeps - n
+                found.expect(x, left * (p - x))
+                found.gather()
+                frame.count("rebuilds", 1)
+            self.contacts.narrow(x, p, found, self.apart, self.both)
+            frame.count("contacts", self.contacts.active)
+            self.kernels.solve(
+                x, p, model.arrays, self.contacts.arrays, self.contacts.active, model.friction, s.radii, motion,
+                s.ground, frame.grips, s.multipliers, n, not s.explicit,
+            )  # fmt: skip
+            share, contacts = (n + 1 - base) / left, self.contacts
+            for _ in range(self._ATTEMPTS):
+                if found.deviation(p, share) > found.slack:
+                    # something moved further than expected: look again around where everything really goes
+                    found.expect(x, p - x)
+                    found.gather()
+                    contacts.narrow(x, p, found, self.apart, self.both)
+                    base, share = n - s.substeps, 1.0
+                    frame.count("rebuilds", 1)
+                repaired, zoned = self.kernels.certify(
+                    x, p, model.inverse_masses, model.thickness, found.quads, found.kinds, found.count,
+                    found.separation, self.rounds,
+                )  # fmt: skip
+                frame.count("repaired", repaired)
+                frame.count("zoned", zoned)
+                if found.deviation(p, share) <= found.slack:
+                    break
+            integrate.finish(x, v, p, s.dt)
+            self.kernels.stop_rebound(v, model.inverse_masses, contacts.arrays, contacts.active, s.dt)
+
+
+def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
+    """The stages that a scene requires, bound to its arrays.
+
+    Raises:
+        ValueError: a substep of symplectic Euler longer than the safe time step; the message states the limit.
+    """
+    scene = model.scene
+    substeps = fidelity.substeps or 8
+    if fidelity.integrator == "symplectic_euler":
+        limit = model.safe_time_step()
+        if fidelity.substeps == 0:
+            substeps = max(1, int(np.ceil(scene.step / (0.9 * limit))))
+        elif scene.step / substeps > limit:
+            raise ValueError(
+                f"fidelity.substeps = {substeps}: a substep of {scene.step / substeps:.3g} s exceeds the stability limit of "
+                f"{limit:.3g} s of symplectic Euler for this scene; use at least "
+                f"{int(np.ceil(scene.step / limit))} substeps, or 0 to choose them"
+            )
+    step = _Step(model, fidelity, substeps)
+    windy = any(c != 0.0 for c in scene.wind) and scene.wind_drag > 0.0
+    stages: list[Stage] = [_Wind(model)] if windy else []
+    if not scene.self_collision:
+        stages.append(_Integrate(step, windy))
+        return Pipeline(tuple(stages), substeps, step.dt)
+    from clothgym.response.contact import Candidates
+
+    if fidelity.detection == "hierarchy":
+        from clothgym.detection.hierarchy import Hierarchy as Tree
+    else:
+        from clothgym.detection.brute_force import BruteForce as Tree  # type: ignore[assignment]
+    candidates = Candidates(model, Tree(model.surface, scene.start, fidelity.k, fidelity.arity))
+    apart = np.zeros(model.vertex_count, np.bool_)
+    pairs = _FacePairs(candidates, scene.step, np.asarray(scene.gravity, float))
+    stages.append(pairs)
+    if fidelity.untangling != "none":
+        stages.append(_Untangle(candidates, model, fidelity, pairs, apart))
+    stages.append(_PrimitivePairs(candidates))
+    stages.append(_ContactSubsteps(step, candidates, model, fidelity, apart, windy))
+    return Pipeline(tuple(stages), substeps, step.dt)

@@ -1,0 +1,1 @@
+"""Recording: pictures and replayable episodes; reads state, never writes it."""

@@ -1,0 +1,1 @@
+"""What happens to detected pairs: contact, untangling."""

@@ -1,0 +1,196 @@
+"""Scenes: what exists. How well it is modelled is `Fidelity`'s matter."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from clothgym import materials
+from clothgym.arrays import FloatArray, as_faces, as_points, check_number
+from clothgym.materials import Material
+from clothgym.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Cloth:
+    """A piece of cloth.
+
+    Args:
+        mesh: a `Mesh`, a trimesh.Trimesh, or a pair (vertices, faces): where the cloth starts [m].
+        material: a name of `clothgym.materials.MATERIALS` or a `Material`.
+        pins: ids of vertices that do not move.
+        rest: (V, 3) the shape without strain; default: the mesh as it starts.
+        name: shown in tables and recordings.
+        equal_masses: every vertex weighs the same, as in the papers; otherwise a third of the faces around it.
+
+    Raises:
+        ValueError: names the cloth, the field and the value.
+    """
+
+    mesh: Any
+    material: str | Material = "cotton"
+    pins: Sequence[int] = ()
+    rest: Any = None
+    name: str = "cloth"
+    equal_masses: bool = False
+
+    def __post_init__(self) -> None:
+        given = self.mesh
+        quads = getattr(given, "quads", None) if isinstance(given, Mesh) else None
+        if hasattr(given, "vertices") and hasattr(given, "faces"):
+            vertices, faces = given.vertices, given.faces
+        elif isinstance(given, tuple | list) and len(given) == 2:
+            vertices, faces = given
+        else:
+            raise ValueError(f"cloth {self.name!r}: mesh: expected a Mesh, a trimesh or (vertices, faces), got {given!r}")
+        points = as_points(vertices, f"cloth {self.name!r}: vertices").copy()
+        triangles = as_faces(faces, len(points), f"cloth {self.name!r}: faces").copy()
+        if len(triangles) == 0:
+            raise ValueError(f"cloth {self.name!r}: faces: a cloth needs at least one triangle")
+        object.__setattr__(self, "mesh", Mesh(points, triangles, quads))
+        rest = points if self.rest is None else as_points(self.rest, f"cloth {self.name!r}: rest", len(points)).copy()
+        object.__setattr__(self, "rest", rest)
+        object.__setattr__(self, "material", materials.get(self.material))
+        pins = []
+        for value in self.pins:
+            if not 0 <= int(value) < len(points):
+                raise ValueError(f"cloth {self.name!r}: pins: no vertex {value}, there are {len(points)}")
+            pins.append(int(value))
+        object.__setattr__(self, "pins", tuple(pins))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; floats survive exactly."""
+        quads = self.mesh.quads
+        return {
+            "name": self.name,
+            "vertices": self.mesh.vertices.tolist(),
+            "faces": self.mesh.faces.tolist(),
+            "quads": None if quads is None else quads.tolist(),
+            "rest": self.rest.tolist(),
+            "material": materials.get(self.material).to_json(),
+            "pins": list(self.pins),
+            "equal_masses": self.equal_masses,
+        }
+
+    @staticmethod
+    def from_json(values: dict[str, Any]) -> Cloth:
+        """Raises ValueError for missing or unknown fields, by name."""
+        known = {"name", "vertices", "faces", "quads", "rest", "material", "pins", "equal_masses"}
+        unknown = set(values) ^ known
+        if unknown:
+            raise ValueError(f"cloth.{min(unknown)}: unknown or missing field; expected {', '.join(sorted(known))}")
+        quads = None if values["quads"] is None else np.asarray(values["quads"], np.int32)
+        mesh = Mesh(np.asarray(values["vertices"], float), np.asarray(values["faces"], np.int32), quads)
+        return Cloth(
+            mesh,
+            Material.from_json(values["material"]),
+            values["pins"],
+            values["rest"],
+            values["name"],
+            values["equal_masses"],
+        )
+
+
+@dataclass(frozen=True)
+class Grip:
+    """A gripper: a moving point that holds vertices by a soft anchor.
+
+    Attributes:
+        radius: reach of a grasp [m].
+        stiffness: of the whole anchor, shared by the vertices it holds [N/m].
+        slip_force: above this the cloth slips through [N].
+    """
+
+    radius: float = 0.03
+    stiffness: float = 500.0
+    slip_force: float = 50.0
+
+    def __post_init__(self) -> None:
+        check_number(self.radius, "grip.radius", 1e-6, 10.0)
+        check_number(self.stiffness, "grip.stiffness", 1e-3, 1e9)
+        check_number(self.slip_force, "grip.slip_force", 1e-6, 1e9)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What exists: cloths, ground, wind, grippers, and whether cloth can touch cloth at all.
+
+    Attributes:
+        cloths: at least one.
+        ground: height of a horizontal plane [m], None = none.
+        gravity: [m/s^2].
+        wind: velocity of the air [m/s]; wind_drag: force per area and speed across the cloth [N s/m^3].
+        grips: grippers; they hold nothing until told so.
+        self_collision: whether cloth can touch cloth; a scene that says no pays for no detection.
+        step: length of a step (a frame) [s].
+        duration: how long the scene is meant to run [s].
+        name: shown in tables and recordings.
+    """
+
+    cloths: Sequence[Cloth]
+    ground: float | None = None
+    gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind_drag: float = 0.5
+    grips: Sequence[Grip] = ()
+    self_collision: bool = True
+    step: float = 1.0 / 60.0
+    duration: float = 2.0
+    name: str = "scene"
+    _digest: str = field(default="", init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cloths", tuple(self.cloths))
+        object.__setattr__(self, "grips", tuple(self.grips))
+        if not self.cloths:
+            raise ValueError("scene.cloths: empty; a scene needs at least one cloth")
+        for number, cloth in enumerate(self.cloths):
+            if not isinstance(cloth, Cloth):
+                raise ValueError(f"scene.cloths[{number}] = {type(cloth).__name__}: expected a Cloth")
+        for name in ("gravity", "wind"):
+            vector = getattr(self, name)
+            if np.shape(vector) != (3,) or not np.isfinite(np.asarray(vector, float)).all():
+                raise ValueError(f"scene.{name} = {vector!r}: expected three finite numbers")
+            object.__setattr__(self, name, tuple(float(c) for c in vector))
+        check_number(self.wind_drag, "scene.wind_drag", 0.0, 1e6)
+        check_number(self.step, "scene.step", 1e-7, 10.0)
+        check_number(self.duration, "scene.duration", 0.0, 1e6)
+        if self.ground is not None:
+            check_number(self.ground, "scene.ground", -1e6, 1e6)
+        object.__setattr__(self, "_digest", hashlib.sha256(self.to_json().encode()).hexdigest())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scene) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        return hash(self._digest)
+
+    @property
+    def start(self) -> FloatArray:
+        """(V, 3) where all cloths start, one after the other [m]."""
+        return np.concatenate([cloth.mesh.vertices for cloth in self.cloths])
+
+    def to_json(self) -> str:
+        """One JSON object; floats survive exactly."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.init}
+        values["cloths"] = [cloth.to_json() for cloth in self.cloths]
+        values["grips"] = [dataclasses.asdict(grip) for grip in self.grips]
+        return json.dumps(values)
+
+    @staticmethod
+    def from_json(text: str) -> Scene:
+        """Raises ValueError for unknown fields and values out of range, by name."""
+        values = json.loads(text)
+        known = [f.name for f in dataclasses.fields(Scene) if f.init]
+        unknown = set(values) - set(known)
+        if unknown:
+            raise ValueError(f"scene.{min(unknown)}: unknown field; known: {', '.join(known)}")
+        values["cloths"] = [Cloth.from_json(c) for c in values["cloths"]]
+        values["grips"] = [Grip(**g) for g in values.get("grips", [])]
+        return Scene(**values)

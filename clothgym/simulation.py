@@ -1,0 +1,286 @@
+"""The simulation: reset, step, snapshot, restore."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clothgym import fidelity as fidelities
+from clothgym import metrics
+from clothgym.arrays import FloatArray, IntArray, as_points, read_only
+from clothgym.errors import SimulationError
+from clothgym.fidelity import Fidelity
+from clothgym.model import ClothModel
+from clothgym.pipeline import Frame, Pipeline, assemble
+from clothgym.scene import Scene
+from clothgym.state import ClothState
+
+SPEED_CAP = 1e4
+"""Speeds above this [m/s] count as diverged."""
+
+
+class Simulation:
+    """A scene at a fidelity, in time.
+
+    Same scene, fidelity, seed and calls give the same bits on one machine and version.
+
+    Args:
+        scene: what exists.
+        fidelity: "draft", "balanced", "accurate", or a `Fidelity`.
+
+    Raises:
+        ValueError: a setting that the scene cannot run with; the message names field, value and limit.
+    """
+
+    def __init__(self, scene: Scene, fidelity: str | Fidelity = "balanced") -> None:
+        self.scene = scene
+        self.fidelity = fidelities.get(fidelity)
+        self.model = ClothModel(scene)
+        self.pipeline: Pipeline = assemble(self.model, self.fidelity)
+        self._grip_forces: FloatArray = np.zeros((len(scene.grips), 3))
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> None:
+        """Back to the start of the scene. Scenes are made from seeds of their own; nothing in a step is random."""
+        grips = len(self.scene.grips)
+        self._state = ClothState(
+            self.scene.start.copy(),
+            np.zeros((self.model.vertex_count, 3)),
+            0.0,
+            0,
+            np.zeros((grips, 3)),
+            np.zeros((grips, 3)),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.int32),
+            np.zeros((0, 3)),
+        )
+        self._frame = Frame(self.model, self._state)
+        self._grip_forces = np.zeros((grips, 3))
+        self._intersections: Any = None
+        for entry in self.pipeline.profile.values():
+            entry[:] = [0, 0.0]
+
+    def step(self, count: int = 1) -> None:
+        """Advances by `count` steps of `scene.step` seconds.
+
+        Raises:
+            SimulationError: the run diverged; the last finite state is kept.
+        """
+        for _ in range(count):
+            before = self._state.copy()
+            self._frame.set_grips()
+            self.pipeline.run(self._frame)
+            self._check(before)
+            self._move_grips()
+            self._state.time += self.scene.step
+            self._state.step += 1
+            self._intersections = None
+
+    def _check(self, before: ClothState) -> None:
+        state = self._state
+        quantity = ""
+        if not (np.isfinite(state.positions).all() and np.isfinite(state.velocities).all()):
+            quantity = "positions are no longer finite"
+        else:
+            speed = float(np.sqrt(np.einsum("ij,ij->i", state.velocities, state.velocities).max()))
+            if speed > SPEED_CAP:
+                quantity = f"a speed of {speed:.3g} m/s passed the cap of {SPEED_CAP:g} m/s"
+        if quantity:
+            self._restore(before)
+            remedy = "take more substeps or softer springs; the last finite state is kept"
+            raise SimulationError(self.pipeline.stages[-1].name, quantity, before.time, remedy)
+
+    # --- what can be read -------------------------------------------------------------------------------------------
+
+    @property
+    def positions(self) -> FloatArray:
+        """(V, 3) [m], read-only view."""
+        return read_only(self._state.positions)
+
+    @property
+    def velocities(self) -> FloatArray:
+        """(V, 3) [m/s], read-only view."""
+        return read_only(self._state.velocities)
+
+    @property
+    def faces(self) -> IntArray:
+        """(F, 3), read-only view."""
+        return read_only(self.model.faces)
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._state.time
+
+    @property
+    def step_count(self) -> int:
+        """Steps since reset."""
+        return self._state.step
+
+    @property
+    def cloth_ranges(self) -> list[tuple[str, slice, slice]]:
+        """(name, vertex slice, face slice) of each cloth."""
+        return list(self.model.ranges)
+
+    @property
+    def profile(self) -> dict[str, tuple[int, float]]:
+        """Stage name -> (calls, wall seconds) since reset."""
+        return {name: (int(calls), seconds) for name, (calls, seconds) in self.pipeline.profile.items()}
+
+    @property
+    def last_intersections(self) -> Any:
+        """Intersections of the current state, found once per state."""
+        if self._intersections is None:
+            from clothgym.detection.intersections import Intersections
+
+            tree = self._detector()
+            x = self._state.positions.copy()
+            tree.refit(x, x, 0.0)
+            self._intersections = Intersections(x, self.model.surface, tree.self_pairs())
+        return self._intersections
+
+    def _detector(self) -> Any:
+        """A tree of its own for looking, so that looking never touches what the stages use."""
+        if not hasattr(self, "_looking_tree"):
+            from clothgym.detection.hierarchy import Hierarchy
+
+            self._looking_tree = Hierarchy(self.model.surface, self.scene.start)
+        return self._looking_tree
+
+    def metrics(self) -> dict[str, Any]:
+        """Numbers of the current state.
+
+        contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m] (0
+        without a body), kinetic_energy and potential_energy [J], max_speed [m/s], time [s], untangling_passes (since
+        reset), work (counters since reset).
+        """
+        x, v = self._state.positions, self._state.velocities
+        hits = self.last_intersections
+        return {
+            "time": self._state.time,
+            "contour_length": hits.length,
+            "contour_count": hits.contour_count,
+            "hits": hits.hit_count,
+            "max_strain": metrics.max_strain(self.model, x),
+            "penetration_depth": 0.0,
+            "kinetic_energy": metrics.kinetic_energy(self.model, v),
+            "potential_energy": metrics.potential_energy(self.model, x),
+            "max_speed": float(np.sqrt((v * v).sum(axis=1).max())),
+            "untangling_passes": self._frame.untangling_passes,
+            "work": dict(self._frame.work),
+        }
+
+    # --- what can be set --------------------------------------------------------------------------------------------
+
+    def set_positions(self, positions: ArrayLike) -> None:
+        """Copies (V, 3) [m]. Raises ValueError for a wrong shape or an entry that is not finite."""
+        self._state.positions[:] = as_points(positions, "positions", self.model.vertex_count)
+        self._intersections = None
+
+    def set_velocities(self, velocities: ArrayLike) -> None:
+        """Copies (V, 3) [m/s]. Raises ValueError for a wrong shape or an entry that is not finite."""
+        self._state.velocities[:] = as_points(velocities, "velocities", self.model.vertex_count)
+
+    def snapshot(self) -> ClothState:
+        """An independent copy of the state, for `restore`."""
+        return self._state.copy()
+
+    def restore(self, snapshot: ClothState) -> None:
+        """Back to a snapshot of this simulation, bit for bit.
+
+        Raises:
+            ValueError: the snapshot belongs to another scene.
+        """
+        if snapshot.positions.shape != self._state.positions.shape:
+            raise ValueError(
+                f"snapshot: has {len(snapshot.positions)} vertices, this scene has {self.model.vertex_count}"
+            )
+        self._restore(snapshot)
+
+    def _restore(self, snapshot: ClothState) -> None:
+        self._state = snapshot.copy()
+        self._frame.state = self._state
+        self._intersections = None
+
+    def state_hash(self) -> str:
+        """Digest of every bit of the state."""
+        return self._state.hash()
+
+    # --- grippers ---------------------------------------------------------------------------------------------------
+
+    @property
+    def grip_positions(self) -> FloatArray:
+        """(G, 3) [m], read-only view."""
+        return read_only(self._state.grip_positions)
+
+    @property
+    def grip_forces(self) -> FloatArray:
+        """(G, 3) [N] mean force of each gripper on the cloth over the last step."""
+        return read_only(self._grip_forces)
+
+    def held(self, grip: int) -> IntArray:
+        """Ids of the vertices that a gripper holds."""
+        return self._state.held_vertices[self._state.held_by == self._grip(grip)]
+
+    def _grip(self, grip: int) -> int:
+        if not 0 <= grip < len(self.scene.grips):
+            raise ValueError(f"grip = {grip}: the scene has {len(self.scene.grips)} grippers")
+        return int(grip)
+
+    def place_grip(self, grip: int, position: ArrayLike) -> None:
+        """Puts a gripper somewhere [m]; what it holds goes along at the next step, by its anchor."""
+        self._state.grip_positions[self._grip(grip)] = as_points([position], "position")[0]
+
+    def move_grip(self, grip: int, velocity: ArrayLike) -> None:
+        """Velocity [m/s] of a gripper from the next step on."""
+        self._state.grip_velocities[self._grip(grip)] = as_points([velocity], "velocity")[0]
+
+    def grasp(self, grip: int, vertices: Sequence[int] | IntArray | None = None) -> int:
+        """Closes a gripper on the given vertices, or on all within its radius; returns how many it holds now."""
+        grip = self._grip(grip)
+        centre = self._state.grip_positions[grip]
+        if vertices is None:
+            distance = np.linalg.norm(self._state.positions - centre, axis=1)
+            chosen = np.flatnonzero(distance <= self.scene.grips[grip].radius)
+        else:
+            chosen = np.asarray(vertices, np.int64)
+            if len(chosen) and (chosen.min() < 0 or chosen.max() >= self.model.vertex_count):
+                raise ValueError(f"vertices: ids must be below {self.model.vertex_count}")
+        chosen = chosen[~np.isin(chosen, self._state.held_vertices)]
+        state = self._state
+        state.held_vertices = np.concatenate([state.held_vertices, chosen]).astype(np.int32)
+        state.held_by = np.concatenate([state.held_by, np.full(len(chosen), grip)]).astype(np.int32)
+        state.held_offsets = np.concatenate([state.held_offsets, state.positions[chosen] - centre])
+        return int((state.held_by == grip).sum())
+
+    def release(self, grip: int) -> None:
+        """Opens a gripper."""
+        self._keep(self._state.held_by != self._grip(grip))
+
+    def _keep(self, kept: Any) -> None:
+        state = self._state
+        state.held_vertices = state.held_vertices[kept]
+        state.held_by = state.held_by[kept]
+        state.held_offsets = state.held_offsets[kept]
+
+    def _move_grips(self) -> None:
+        """Grippers at the end of the step; vertices whose anchor reached its limit slip, and are lost beyond the reach."""
+        state = self._state
+        if len(self.scene.grips) == 0:
+            return
+        state.grip_positions += self.scene.step * state.grip_velocities
+        self._grip_forces[:] = 0.0
+        if len(state.held_vertices) == 0:
+            return
+        grips = self._frame.grips
+        forces = grips.forces / self.pipeline.substeps
+        np.add.at(self._grip_forces, state.held_by, forces)
+        slipping = np.linalg.norm(forces, axis=1) >= 0.999 * grips.force_limit
+        if slipping.any():
+            offsets = state.positions[state.held_vertices] - state.grip_positions[state.held_by]
+            state.held_offsets[slipping] = offsets[slipping]
+            reach = np.array([self.scene.grips[g].radius for g in state.held_by])
+            self._keep(~(slipping & (np.linalg.norm(offsets, axis=1) > reach)))

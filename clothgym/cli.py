@@ -40,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = entry_points()
     called = next((word for word in words if not word.startswith("-")), None)
     speaker = f"clothgym {called}" if called in commands else "clothgym"
+    if os.getcwd() not in sys.path:  # last, so that it shadows nothing: a user's own `package.module:Name`
+        sys.path.append(os.getcwd())
     try:
         if called in commands:
             app = _new_app()
@@ -134,8 +136,8 @@ def _exit_code(error: BaseException, speaker: str) -> int:
 
 def _is_bad_input(error: BaseException) -> bool:
     """Whether the user can cure it: a usage error, a bad value or file, a missing extra."""
-    if isinstance(error, ImportError):
-        return missing_extra_line(error) is not None
+    if isinstance(error, ImportError) and missing_extra_line(error) is not None:
+        return True
     files = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
     return hasattr(error, "format_message") or isinstance(error, (ValueError, *files))
 

@@ -30,7 +30,16 @@ class Frame:
         self.last_intersections: Any = None
         self.untangling_passes = 0
         self.work: dict[str, int] = {}
+        self.profile: dict[str, list[float]] = {}
         self.set_grips()
+
+    def clock(self, name: str, started: float) -> float:
+        """Books the time since `started` under a name; returns now."""
+        now = time.perf_counter()
+        entry = self.profile[name]
+        entry[0] += 1
+        entry[1] += now - started
+        return now
 
     def set_grips(self) -> None:
         """The grippers' anchors for the coming step, from the state."""
@@ -71,16 +80,19 @@ class Pipeline:
     def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float) -> None:
         self.stages = stages
         self.substeps, self.dt = substeps, dt
-        self.profile: dict[str, list[float]] = {stage.name: [0, 0.0] for stage in stages}
+        self.profile: dict[str, list[float]] = {}
+        for stage in stages:
+            self.profile[stage.name] = [0, 0.0]
+            for part in getattr(stage, "parts", ()):  # inner loops report their own parts
+                self.profile[f"{stage.name}: {part}"] = [0, 0.0]
 
     def run(self, frame: Frame) -> None:
         """Advances the frame's state by one step."""
+        frame.profile = self.profile
         for stage in self.stages:
             started = time.perf_counter()
             stage.run(frame)
-            entry = self.profile[stage.name]
-            entry[0] += 1
-            entry[1] += time.perf_counter() - started
+            frame.clock(stage.name, started)
 
     def describe(self) -> str:
         """One line per stage: name, what it reads and writes."""
@@ -254,6 +266,7 @@ class _ContactSubsteps:
     """Substeps with contact: predict, closest points, sweeps with contact last, certificate, new velocities."""
 
     reads, writes = ("positions", "velocities", "quads", "apart"), ("positions", "velocities")
+    parts = ("predict", "find again", "closest points", "solve", "certify", "advance")
     _ATTEMPTS = 4
 
     def __init__(self, step: _Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool) -> None:
@@ -264,7 +277,7 @@ class _ContactSubsteps:
         self.contacts = ContactBuffers(max(1024, len(model.faces)))
         self.both = fidelity.contacts_near_hits == "off_both"
         self.rounds = fidelity.repair_rounds
-        self.name = f"contact substeps [{step.label}: predict, closest points, solve, certify, advance]"
+        self.name = f"contact substeps [{step.label}]"
         if windy:
             self.reads = (*self.reads, "external")
 
@@ -283,39 +296,46 @@ class _ContactSubsteps:
         motion = s.motion(frame)
         base = 0
         for n in range(s.substeps):
+            now = time.perf_counter()
             self._predict(frame, motion)
+            now = frame.clock(f"{self.name}: predict", now)
             left = s.substeps - base
-            ahead = max(found.deviation(x, (n - base) / left), found.deviation(p, (n + 1 - base) / left))
-            if base < 0 or ahead > found.slack:
+            if base < 0 or found.outdated(x, (n - base) / left) or found.outdated(p, (n + 1 - base) / left):
                 base, left = n, s.substeps - n
                 found.expect(x, left * (p - x))
                 found.gather()
                 frame.count("rebuilds", 1)
+                now = frame.clock(f"{self.name}: find again", now)
             self.contacts.narrow(x, p, found, self.apart, self.both)
             frame.count("contacts", self.contacts.active)
+            now = frame.clock(f"{self.name}: closest points", now)
             self.kernels.solve(
                 x, p, model.arrays, self.contacts.arrays, self.contacts.active, model.friction, s.radii, motion,
                 s.ground, frame.grips, s.multipliers, n, not s.explicit,
             )  # fmt: skip
-            share, contacts = (n + 1 - base) / left, self.contacts
+            now = frame.clock(f"{self.name}: solve", now)
+            share = (n + 1 - base) / left
             for _ in range(self._ATTEMPTS):
-                if found.deviation(p, share) > found.slack:
+                if found.outdated(p, share):
                     # something moved further than expected: look again around where everything really goes
                     found.expect(x, p - x)
                     found.gather()
-                    contacts.narrow(x, p, found, self.apart, self.both)
+                    self.contacts.narrow(x, p, found, self.apart, self.both)
                     base, share = n - s.substeps, 1.0
                     frame.count("rebuilds", 1)
+                    now = frame.clock(f"{self.name}: find again", now)
                 repaired, zoned = self.kernels.certify(
                     x, p, model.inverse_masses, model.thickness, found.quads, found.kinds, found.count,
                     found.separation, self.rounds,
                 )  # fmt: skip
                 frame.count("repaired", repaired)
                 frame.count("zoned", zoned)
-                if found.deviation(p, share) <= found.slack:
+                now = frame.clock(f"{self.name}: certify", now)
+                if not found.outdated(p, share):
                     break
             integrate.finish(x, v, p, s.dt)
-            self.kernels.stop_rebound(v, model.inverse_masses, contacts.arrays, contacts.active, s.dt)
+            self.kernels.stop_rebound(v, model.inverse_masses, self.contacts.arrays, self.contacts.active, s.dt)
+            frame.clock(f"{self.name}: advance", now)
 
 
 def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:

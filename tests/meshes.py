@@ -95,6 +95,13 @@ def rotation_about(axis, angle: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
+def grazing_sheets(angle: float) -> Mesh:
+    """Two sheets whose planes make a small angle and meet in a line across both."""
+    turn = rotation_about((1, 0, 0.2), angle) @ rotation_about((0, 1, 0), 0.3)
+    second = moved(grid(3, 3, 0.8, 0.8, alternate=True), None, (-0.4, 0, -0.37))
+    return merged(grid(3, 3), moved(second, turn, (0.43, 0, 0.52)))
+
+
 def many_sheets(count: int, cells: int, seed: int) -> Mesh:
     """Wavy unit squares at random places and turns in a box."""
     rng = np.random.default_rng(seed)

@@ -137,8 +137,8 @@ def test_shading_equals_a_plain_formula():
     right, up, forward = camera.basis()
     key = -0.65 * forward + 0.65 * up - 0.40 * right
     key /= np.linalg.norm(key)
-    light = 0.30 + 0.20 * (0.5 + 0.5 * n[:, 1]) + 0.30 * np.maximum((n * viewer).sum(1), 0)
-    light += 0.40 * np.maximum(n @ key, 0)
+    light = 0.38 + 0.18 * (0.5 + 0.5 * n[:, 1]) + 0.24 * np.maximum((n * viewer).sum(1), 0)
+    light += 0.38 * np.maximum(n @ key, 0)
     expected = 255 * np.minimum(colour * light[:, None], 1)
     assert len(rows) > 800
     assert np.abs(image[rows, columns] - expected).max() <= 0.51

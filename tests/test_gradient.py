@@ -112,6 +112,17 @@ def test_gradient_of_cloth_through_a_body():
     assert np.abs(gradient_of(vertices, faces) - expected).max() <= 1e-11 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-9])
+def test_gradient_of_grazing_sheets(angle):
+    """The flatter the angle the faster the contour moves: |g| ~ 1 / angle, and still exact."""
+    vertices, faces = meshes.grazing_sheets(angle)
+    hits = cg.intersections(vertices, faces)
+    expected = naive.complex_step_gradient(vertices, faces)
+    assert len(hits.edge_triangle) == 13
+    assert np.abs(expected).max() > 0.1 / angle
+    assert np.abs(np.asarray(hits.gradient()) - expected).max() <= 1e-11 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize("name", meshes.GENERAL)
 def test_vertices_away_from_hits_have_no_gradient(name):
     vertices, faces = meshes.GENERAL[name]()

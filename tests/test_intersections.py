@@ -174,7 +174,7 @@ def test_pairs_have_two_hits_or_one_with_a_shared_vertex(name):
         assert not {e0, e1} & set(faces[face].tolist())
 
 
-@pytest.mark.parametrize("power", [-300, -60, 60, 200])
+@pytest.mark.parametrize("power", [-400, -300, -60, 60, 200, 350])
 @pytest.mark.parametrize("name", ["crumple-0", "lattice_cross-0-0-0-shuffled", "turned_lattice-1", "nearly_flat-1e-16"])
 def test_scaling_by_a_power_of_two_changes_no_hit(name, power):
     vertices, faces = meshes.EVERY[name]()

@@ -134,6 +134,31 @@ def test_any_distance(name, factor):
         assert_equal_near(cg.proximities(vertices, faces, factor * distance), vertices, faces, factor * distance)
 
 
+@pytest.mark.parametrize("width", [1e-3, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-13, 1e-16])
+def test_slivers_and_nearly_parallel_edges_are_not_missed(width):
+    """Distances of thin triangles and of edges at small angles against rational arithmetic, one pair at a time."""
+    rng = np.random.default_rng(0)
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    for _ in range(25):
+        axis, start = rng.normal(size=3), 0.3 * rng.normal(size=3)
+        thin = [start, start + axis + width * rng.normal(size=3)]
+        thin.append(start + rng.uniform(0.2, 0.8) * axis + width * rng.normal(size=3))
+        beside = start + 0.1 * rng.normal(size=3) + rng.uniform(-0.8, 0.8) * axis
+        other = [beside, beside + axis + width * rng.normal(size=3), beside + rng.normal(size=3)]
+        vertices = np.array([*thin, *other])
+        near = cg.proximities(vertices, faces, 1e3)
+        for (v, face), gap in zip(rows(near.vertex_triangle), near.vertex_triangle_distance):
+            expected = naive.exact_point_triangle_distance(vertices[v], *vertices[faces[face]])
+            assert gap == pytest.approx(expected, rel=1e-12, abs=1e-14), (v, face)
+        for edge_pair, gap in zip(rows(near.edge_edge), near.edge_edge_distance):
+            expected = naive.exact_segment_segment_distance(*vertices[list(edge_pair)])
+            assert gap == pytest.approx(expected, rel=1e-12, abs=1e-14), edge_pair
+            just_enough = cg.proximities(vertices, faces, expected * (1 + 1e-9))
+            assert edge_pair in rows(just_enough.edge_edge)
+        assert len(near.vertex_triangle) == 6
+        assert len(near.edge_edge) == 9
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_random_small_meshes(seed):
     rng = np.random.default_rng(seed)

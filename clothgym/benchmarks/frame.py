@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from clothgym.arrays import check_choice, check_number
-from clothgym.benchmarks.machine import SINGLE_THREAD, MissingExtraError, need, provenance
+from clothgym.benchmarks.machine import SINGLE_THREAD, missing_extra_line, need, provenance
 from clothgym.benchmarks.report import (
     Page,
     Table,
@@ -445,8 +445,11 @@ def write_report(benchmark: Benchmark, rows: list[Row], folder: Path) -> tuple[l
     try:
         for plot in benchmark.plots(good, folder) if good else []:
             page.add_image(plot, Path(plot).stem.replace("_", " "))
-    except MissingExtraError as error:
-        print(f"no plots: {error}", file=sys.stderr)
-        page.add_text(f"No plots: {error}")
+    except ImportError as error:
+        line = missing_extra_line(error)
+        if line is None:
+            raise
+        print(f"no plots: {line}", file=sys.stderr)
+        page.add_text(f"No plots: {line}")
     page.add_table(origin_table(rows))
     return tables, page.write(folder / f"{benchmark.name}.html")

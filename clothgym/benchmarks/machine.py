@@ -12,6 +12,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from clothgym.errors import MissingExtraError
+
 MODULE_EXTRAS = {
     "stable_baselines3": "rl",
     "torch": "rl",
@@ -41,37 +43,33 @@ SINGLE_THREAD = {
 """Environment of a worker: parallelism is over cases, never inside one."""
 
 
-class MissingExtraError(ImportError):
-    """A module of an extra is not installed; the message is one line with the command that installs it."""
-
-
 def install_command(extra: str) -> str:
     """The command that installs an extra, quoted for a shell."""
-    return f"pip install 'clothgym[{extra}]'"
+    return f'pip install "clothgym[{extra}]"'
 
 
 def missing_extra_line(error: ImportError) -> str | None:
     """One line that names the extra and its command when the import failed for want of one, else None."""
-    if isinstance(error, MissingExtraError):
+    if "clothgym[" in str(error):
         return str(error)
     module = (error.name or "").partition(".")[0]
     extra = MODULE_EXTRAS.get(module) if isinstance(error, ModuleNotFoundError) else None
-    return None if extra is None else f"needs the extra '{extra}' ({module} is missing): {install_command(extra)}"
+    return None if extra is None else str(MissingExtraError(module, extra))
 
 
 def need(module: str) -> ModuleType:
     """Imports a module of an extra.
 
     Raises:
-        MissingExtraError: it is not installed; names the extra and the command.
+        MissingExtraError: it is not installed; names the command that installs the extra.
     """
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        line = missing_extra_line(error)
-        if line is None:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in MODULE_EXTRAS:
             raise
-        raise MissingExtraError(line) from error
+        raise MissingExtraError(missing, MODULE_EXTRAS[missing]) from error
 
 
 def pyplot() -> ModuleType:

@@ -49,12 +49,12 @@ class Table:
         return json_ready(document)
 
     def to_rich(self) -> Any:
-        """The table as a `rich.table.Table`; cells are text, never markup."""
+        """The table as a `rich.table.Table` without its title and note; cells are text, never markup."""
         import rich.box
         import rich.table
         import rich.text
 
-        table = rich.table.Table(title=rich.text.Text(self.title), title_justify="left", box=rich.box.SIMPLE_HEAD)
+        table = rich.table.Table(box=rich.box.SIMPLE_HEAD)
         for index, column in enumerate(self.columns):
             justify = "right" if _is_numeric_column(self.rows, index) else "left"
             table.add_column(rich.text.Text(column), justify=justify, overflow="fold")
@@ -131,6 +131,8 @@ def print_table(table: Table) -> None:
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=4000)
+    # Title and note apart: inside, they would wrap at the width of a narrow table.
+    console.print(table.title, markup=False, style="bold")
     console.print(table.to_rich())
     if table.note:
         console.print(table.note, markup=False)

@@ -101,12 +101,12 @@ def _package(requirement: str) -> dict[str, Any]:
 
 
 def _extras(requirements: list[str]) -> list[dict[str, Any]]:
-    """Every extra with its packages; extras that only gather others are left out."""
+    """Every extra with its packages; `all`, which gathers the others, is left out."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for text in requirements:
         extra = _EXTRA.search(text)
         package = _package(text)
-        if extra is not None and package["name"] != "clothgym":
+        if extra is not None and extra.group(1) != "all" and package["name"] != "clothgym":
             groups.setdefault(extra.group(1), []).append(package)
     found = []
     for name, packages in groups.items():

@@ -18,7 +18,7 @@ class BruteForce:
         self._pairs = np.stack([first, second], axis=1).astype(np.int32)
         self.box_tests = 0
 
-    def refit(self, start: FloatArray, end: FloatArray, radius: float) -> None:
+    def refit(self, start: FloatArray, end: FloatArray, radius: float | FloatArray) -> None:
         """Nothing to refit."""
 
     def self_pairs(self) -> IntArray:

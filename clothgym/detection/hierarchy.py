@@ -53,9 +53,10 @@ class Hierarchy:
         self._pairs = np.zeros((max(16 * count, 64), 2), np.int32)
         self.box_tests = 0
 
-    def refit(self, start: FloatArray, end: FloatArray, radius: float) -> None:
-        """Boxes around the triangles on their way from start to end (V, 3), widened by radius [m] on every side."""
-        kdop.vertex_intervals(start, end, self._axes, self._axis_lengths, radius, self._intervals)
+    def refit(self, start: FloatArray, end: FloatArray, radius: float | FloatArray) -> None:
+        """Boxes around the triangles on their way from start to end (V, 3), widened by radius [m], one for all or (V,)."""
+        pads = np.atleast_1d(np.asarray(radius, np.float64))
+        kdop.vertex_intervals(start, end, self._axes, self._axis_lengths, pads, self._intervals)
         kdop.refit(
             self._child_start, self._child_count, self._node_face, self.surface.faces, self._intervals, self._boxes
         )

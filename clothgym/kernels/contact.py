@@ -16,6 +16,9 @@ from clothgym.kernels.integrate import hold_grips, keep_above_ground
 from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle, edge_edge_distance, vertex_triangle_distance
 from clothgym.kernels.springs import project_springs
 
+_ACTIVE = 1.25
+"""Pairs predicted to come nearer than this many thicknesses are projected; the certificate watches over the others."""
+
 _KEEP = 0.2
 """Share of a pair's distance (at most of its thickness) that a substep must leave along the separating direction."""
 
@@ -70,12 +73,35 @@ def _edge_boxes_apart(x, a0, a1, b0, b1, reach):
     return False
 
 
-@kernel
-def gather_quads(x, u, surface, thickness, slack, pairs, quads, kinds):
-    """Pairs of primitives that can come within their thickness while every vertex moves by u (within `slack` [m]).
+@device
+def _sweeps_apart_vertex(sweeps, v, a, b, c):
+    for k in range(0, 6, 2):
+        if sweeps[v, k] > max(sweeps[a, k + 1], sweeps[b, k + 1], sweeps[c, k + 1]):
+            return True
+        if sweeps[v, k + 1] < min(sweeps[a, k], sweeps[b, k], sweeps[c, k]):
+            return True
+    return False
 
-    x, u (V, 3): positions and expected displacements; thickness (V,); pairs (C, 2) face pairs whose swept, inflated boxes
-    overlap. Each vertex and edge is emitted by its owner face only, so no pair comes twice. Returns the number found.
+
+@device
+def _sweeps_apart_edges(sweeps, a0, a1, b0, b1):
+    for k in range(0, 6, 2):
+        if min(sweeps[a0, k], sweeps[a1, k]) > max(sweeps[b0, k + 1], sweeps[b1, k + 1]):
+            return True
+        if min(sweeps[b0, k], sweeps[b1, k]) > max(sweeps[a0, k + 1], sweeps[a1, k + 1]):
+            return True
+    return False
+
+
+@kernel
+def gather_quads(x, u, surface, thickness, slack, sweeps, pairs, quads, kinds):
+    """Pairs of primitives that can come within their thickness while every vertex moves by u, within its slack [m].
+
+    x, u (V, 3): positions and expected displacements; thickness, slack (V,); sweeps (V, 6): each vertex's way as a box, widened
+    by slack and half the thickness; pairs (C, 2) face pairs whose swept, inflated boxes overlap. Each vertex and edge is
+    emitted by its owner face only, so no pair comes twice. Returns the number found; as many as fit are written.
+
+    The cheap boxes come first; then a pair stays if its distance now is within thickness + relative travel + slack.
     """
     faces = surface.faces
     found = 0
@@ -90,8 +116,10 @@ def gather_quads(x, u, surface, thickness, slack, pairs, quads, kinds):
                 v = faces[first, k]
                 if surface.vertex_owner[v] != first or v == a or v == b or v == c:
                     continue
-                reach = min(thickness[v], thickness[a], thickness[b], thickness[c]) + 2.0 * slack
-                reach += max(_travel(u, v, a), _travel(u, v, b), _travel(u, v, c))
+                if _sweeps_apart_vertex(sweeps, v, a, b, c):
+                    continue
+                reach = min(thickness[v], thickness[a], thickness[b], thickness[c]) + slack[v]
+                reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
                 if _vertex_triangle_boxes_apart(x, v, a, b, c, reach):
                     continue
                 if vertex_triangle_distance(x, v, a, b, c) <= reach:
@@ -112,8 +140,13 @@ def gather_quads(x, u, surface, thickness, slack, pairs, quads, kinds):
                 b1 = surface.edges[eb, 1]
                 if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
                     continue
-                reach = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1]) + 2.0 * slack
-                reach += max(_travel(u, a0, b0), _travel(u, a0, b1), _travel(u, a1, b0), _travel(u, a1, b1))
+                if _sweeps_apart_edges(sweeps, a0, a1, b0, b1):
+                    continue
+                reach = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
+                reach += max(
+                    slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
+                    slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
+                )
                 if _edge_boxes_apart(x, a0, a1, b0, b1, reach):
                     continue
                 if edge_edge_distance(x, a0, a1, b0, b1) <= reach:
@@ -151,7 +184,7 @@ def _left_apart(apart, quads, n, kind, both):
 def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contacts):
     """Closest points at the start of a substep: separation (C, 4) = normal and distance, -1 where contact is off.
 
-    Pairs that would be nearer than twice their thickness at the predicted positions p become active contacts. Returns how
+    Pairs that would be nearer than 1.25 thicknesses at the predicted positions p become active contacts. Returns how
     many are active; as many as fit are written to `contacts`.
     """
     active = 0
@@ -178,7 +211,7 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contac
         predicted = nx * _combine(p, quads, n, w0, w1, w2, w3, 0)
         predicted += ny * _combine(p, quads, n, w0, w1, w2, w3, 1)
         predicted += nz * _combine(p, quads, n, w0, w1, w2, w3, 2)
-        if predicted > 2.0 * h:
+        if predicted > _ACTIVE * h:
             continue
         if active < capacity:
             for k in range(4):
@@ -417,15 +450,15 @@ def stop_rebound(v, inverse_masses, contacts, count, dt):
 
 
 @kernel
-def largest_deviation(x, start, u, share):
-    """Largest distance [m] of vertices from where they were expected: start + share u."""
-    worst = 0.0
+def largest_deviation(x, start, u, share, slack):
+    """By how much [m] some vertex is further than its slack from where it was expected, start + share u; < 0 = none is."""
+    worst = -math.inf
     for i in range(x.shape[0]):
         dx = x[i, 0] - start[i, 0] - share * u[i, 0]
         dy = x[i, 1] - start[i, 1] - share * u[i, 1]
         dz = x[i, 2] - start[i, 2] - share * u[i, 2]
-        worst = max(worst, dx * dx + dy * dy + dz * dz)
-    return math.sqrt(worst)
+        worst = max(worst, math.sqrt(dx * dx + dy * dy + dz * dz) - slack[i])
+    return worst
 
 
 @kernel

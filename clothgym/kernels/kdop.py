@@ -26,15 +26,16 @@ AXES: dict[int, np.ndarray] = {
 
 @kernel
 def vertex_intervals(start, end, axes, axis_lengths, radius, intervals):
-    """Interval of each vertex on its way from `start` to `end`, widened by `radius` [m].
+    """Interval of each vertex on its way from `start` to `end`, widened by its own radius [m].
 
-    Shapes: start, end (V, 3); axes (A, 3); axis_lengths (A,); intervals (V, 2 A) as low, high, low, high, ...
+    Shapes: start, end (V, 3); axes (A, 3); axis_lengths (A,); radius (V,) or (1,) for all; intervals (V, 2 A) as low, high,
+    low, high, ...
     """
     for v in range(start.shape[0]):
         for a in range(axes.shape[0]):
             p = axes[a, 0] * start[v, 0] + axes[a, 1] * start[v, 1] + axes[a, 2] * start[v, 2]
             q = axes[a, 0] * end[v, 0] + axes[a, 1] * end[v, 1] + axes[a, 2] * end[v, 2]
-            pad = radius * axis_lengths[a]
+            pad = radius[v if radius.shape[0] > 1 else 0] * axis_lengths[a]
             intervals[v, 2 * a] = min(p, q) - pad
             intervals[v, 2 * a + 1] = max(p, q) + pad
 

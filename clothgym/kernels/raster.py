@@ -321,7 +321,7 @@ def vertex_normals(vertices, faces, normals):
 def shade(vertices, normals, faces, colours, lights, layers, picture):
     """Colours the pixels of layer 0: normals interpolated and renormalised per pixel, turned to the viewer.
 
-    Brightness = 0.30 + 0.20 sky + 0.30 headlight + 0.40 key light, where sky is 1 for a normal that points up.
+    Brightness = 0.38 + 0.18 sky + 0.24 headlight + 0.38 key light, where sky is 1 for a normal that points up.
 
     Args:
         vertices: (V, 3) float64 [m].
@@ -357,7 +357,7 @@ def shade(vertices, normals, faces, colours, lights, layers, picture):
             nx, ny, nz = nx * turn, ny * turn, nz * turn
             head = dot(nx, ny, nz, ex, ey, ez) / np.sqrt(dot(ex, ey, ez, ex, ey, ez) + 1e-300)
             key = dot(nx, ny, nz, lights[1, 0], lights[1, 1], lights[1, 2])
-            light = 0.30 + 0.20 * (0.5 + 0.5 * ny) + 0.30 * max(head, 0.0) + 0.40 * max(key, 0.0)
+            light = 0.38 + 0.18 * (0.5 + 0.5 * ny) + 0.24 * max(head, 0.0) + 0.38 * max(key, 0.0)
             first = 0 if front else 3
             for k in range(3):
                 picture[y, x, k] = np.float32(min(colours[face, first + k] * light, 1.0))

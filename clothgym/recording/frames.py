@@ -306,7 +306,9 @@ def _draw_ground(
     height_y = float(check_number(ground, "ground", -1e9, 1e9))
     plane = np.array([height_y, cell, camera.near, target[0], target[2], 1.4 * size])
     base = np.asarray(background, dtype=np.float32).reshape(-1, 3)[-1]
-    tones = np.stack([0.80 * base, 0.89 * base]).astype(np.float32)
+    # Cells darker than a light background, lighter than a dark one.
+    light = base.mean() > 0.5
+    tones = np.stack([t * base if light else base + (1 - t) * (1 - base) for t in (0.80, 0.89)]).astype(np.float32)
     raster.draw_ground(camera.rays(width, height), plane, tones, depth, picture)
 
 
@@ -418,7 +420,7 @@ def palette(count: int) -> list[Colour]:
     colours = list(_FIRST_COLOURS[:count])
     free = [
         colorsys.hls_to_rgb(hue / 30.0, lightness, saturation)
-        for hue in range(30) for lightness in (0.42, 0.58, 0.72) for saturation in (0.35, 0.60)
+        for hue in range(30) for lightness in (0.45, 0.58, 0.70) for saturation in (0.30, 0.50)
     ]  # fmt: skip
     cycle = len(colours) + len(free)
     gaps = np.min(np.linalg.norm(np.subtract(np.array(free)[:, None], _FIRST_COLOURS), axis=-1), axis=1)

@@ -49,6 +49,9 @@ _CONTOUR_COLOURS = np.array(
     [(235, 52, 52), (255, 190, 30), (60, 220, 90), (70, 160, 255), (230, 90, 230), (40, 225, 225), (255, 120, 40)],
     dtype=np.uint8,
 )
+_Rows = list[tuple[str, dict[str, NDArray[Any]]]]
+"""Entity and its values at one step."""
+
 _open_logs: weakref.WeakSet[RerunLog] = weakref.WeakSet()
 
 
@@ -129,6 +132,7 @@ class RerunLog:
         self._closed = False
         self._cloths: list[tuple[str, slice, NDArray[np.int32]]] = []
         self._bodies: dict[str, tuple[str, NDArray[np.int32], NDArray[np.float32] | None]] = {}
+        self._first_bodies: dict[str, NDArray[np.float32]] = {}
         self._vertex_count = 0
         self._rows: dict[str, list[tuple[int, int, dict[str, NDArray[Any]]]]] = {}
         self._pending = 0
@@ -257,33 +261,30 @@ class RerunLog:
         x = np.asarray(positions, dtype=np.float32)
         if x.shape != (self._vertex_count, 3):
             raise ValueError(f"positions: expected shape ({self._vertex_count}, 3), got {x.shape}")
-        at = (int(step), _nanoseconds(sim_time))
-        for entity, rows, faces in self._cloths:
-            self._add(entity, at, positions=x[rows], normals=_normals(x[rows], faces))
-        self._add_bodies(at, bodies)
+        rows: _Rows = [
+            (entity, {"positions": x[part], "normals": _normals(x[part], faces)})
+            for entity, part, faces in self._cloths
+        ]
+        moved = self._moved_bodies(bodies or {})
+        rows += [(self._bodies[n][0], {"positions": v, "normals": _normals(v, self._bodies[n][1])}) for n, v in moved]
         if contours is not None:
             segments = np.asarray(contours[0], dtype=np.float32).reshape(-1, 2, 3)
             ids = np.asarray(contours[1], dtype=np.int64).ravel()
             if len(ids) != len(segments):
                 raise ValueError(f"contours: {len(segments)} segments, but {len(ids)} contour ids")
-            self._add("world/contours", at, segments=segments, contour=ids)
+            rows.append(("world/contours", {"segments": segments, "contour": ids}))
         if hits is not None:
-            self._add("world/hits", at, points=np.asarray(hits, dtype=np.float32).reshape(-1, 3))
+            rows.append(("world/hits", {"points": _as_points(hits)}))
         for name, values in (points or {}).items():
-            entity = f"world/points/{_part(self._rerun, name)}"
-            self._add(entity, at, points=np.asarray(values, dtype=np.float32).reshape(-1, 3))
+            rows.append((f"world/points/{_part(self._rerun, name)}", {"points": _as_points(values)}))
         for name, value in (scalars or {}).items():
-            entity = "/".join(_part(self._rerun, part) for part in f"metrics/{name}".split("/") if part)
-            self._add(entity, at, scalar=np.array([value], dtype=np.float64))
+            entity = "/".join(_part(self._rerun, part) for part in ("metrics", *name.split("/")))
+            rows.append((entity, {"scalar": np.array([value], dtype=np.float64)}))
         if outcome is not None:
-            self._add(
-                "episode/outcome",
-                at,
-                state_hash=np.array([str(outcome["state_hash"])]),
-                reward=np.array([outcome.get("reward", 0.0)], dtype=np.float64),
-                terminated=np.array([bool(outcome.get("terminated", False))]),
-                truncated=np.array([bool(outcome.get("truncated", False))]),
-            )
+            rows.append(("episode/outcome", _outcome_row(outcome)))
+        self._keep_rows((int(step), _nanoseconds(sim_time)), rows)  # all or nothing: a refused step leaves no trace
+        for name, vertices in moved:
+            self._bodies[name] = (*self._bodies[name][:2], vertices.copy())
         self.steps.append(int(step))
         self._pending += 1
         late = time.monotonic() - self._last_write > _BATCH_SECONDS
@@ -409,21 +410,25 @@ class RerunLog:
         if self._closed or not self._opened:
             raise ValueError("the recording is closed" if self._opened else "call open() before logging")
 
-    def _add(self, entity: str, at: tuple[int, int], **values: NDArray[Any]) -> None:
-        self._rows.setdefault(entity, []).append((*at, {k: v.copy() for k, v in values.items()}))
-        self._pending_bytes += sum(v.nbytes for v in values.values())
+    def _keep_rows(self, at: tuple[int, int], rows: _Rows) -> None:
+        """Copies of one step's rows, to be written with the batch."""
+        for entity, fields in rows:
+            self._rows.setdefault(entity, []).append((*at, {name: values.copy() for name, values in fields.items()}))
+            self._pending_bytes += sum(values.nbytes for values in fields.values())
 
-    def _add_bodies(self, at: tuple[int, int], bodies: Mapping[str, ArrayLike] | None) -> None:
-        unknown = set(bodies or {}) - set(self._bodies)
-        if unknown:
+    def _moved_bodies(self, bodies: Mapping[str, ArrayLike]) -> list[tuple[str, NDArray[np.float32]]]:
+        """Name and vertices of the bodies that were never logged, or have moved since."""
+        if unknown := set(bodies) - set(self._bodies):
             raise ValueError(f"bodies: no such body {sorted(unknown)}; open() named {sorted(self._bodies)}")
-        for name, (entity, faces, last) in self._bodies.items():
-            vertices = np.asarray((bodies or {}).get(name, self._first_bodies[name]), dtype=np.float32)
-            if last is None or (name in (bodies or {}) and not np.array_equal(vertices, last)):
-                if vertices.shape != self._first_bodies[name].shape:
-                    raise ValueError(f"body '{name}': vertices {vertices.shape}, was {self._first_bodies[name].shape}")
-                self._add(entity, at, positions=vertices, normals=_normals(vertices, faces))
-                self._bodies[name] = (entity, faces, vertices.copy())
+        moved = []
+        for name, (_, _, last) in self._bodies.items():
+            first = self._first_bodies[name]
+            vertices = np.asarray(bodies.get(name, first if last is None else last), dtype=np.float32)
+            if vertices.shape != first.shape:
+                raise ValueError(f"body '{name}': vertices {vertices.shape}, was {first.shape}")
+            if last is None or not np.array_equal(vertices, last):
+                moved.append((name, vertices))
+        return moved
 
     def _send(self, entity: str, rows: list[tuple[int, int, dict[str, NDArray[Any]]]]) -> None:
         """Sends rows of one entity as one chunk, and keeps the checksum of every column."""
@@ -468,6 +473,20 @@ class RerunLog:
             if not self._lost_viewer:
                 warnings.warn(f"the live viewer no longer answers: {error}", RuntimeWarning, stacklevel=2)
             self._lost_viewer = True
+
+
+def _as_points(values: ArrayLike) -> NDArray[np.float32]:
+    return np.asarray(values, dtype=np.float32).reshape(-1, 3)
+
+
+def _outcome_row(outcome: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Arrays of one entry each; what is not told is 0 or false."""
+    return {
+        "state_hash": np.array([str(outcome["state_hash"])]),
+        "reward": np.array([outcome.get("reward", 0.0)], dtype=np.float64),
+        "terminated": np.array([bool(outcome.get("terminated", False))]),
+        "truncated": np.array([bool(outcome.get("truncated", False))]),
+    }
 
 
 def _columns(rr: ModuleType, fields: dict[str, NDArray[Any]], lengths: list[int]) -> list[_Column]:

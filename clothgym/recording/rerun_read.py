@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -32,6 +33,8 @@ from clothgym.errors import MissingExtraError
 FORMAT = "clothgym-recording"
 FORMAT_VERSION = 1
 ACTION_TYPES = ("float32", "float64", "int64")
+# `python -m rerun_cli` drops the exit code (measured on 0.41), so its main function is called instead.
+_RERUN_CLI = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
 
 
 def import_rerun() -> ModuleType:
@@ -97,7 +100,8 @@ class Recording:
         """(V, 3) of all cloths at a logged step [m]."""
         if step not in self.steps:
             raise ValueError(f"step = {step}: {self.path} has no such step")
-        return np.concatenate([cloth.at(step) for cloth in self.cloths.values()])
+        rows = [track.positions[np.searchsorted(track.steps, step)] for track in self.cloths.values()]
+        return np.concatenate(rows) if rows else np.empty((0, 3), np.float32)
 
 
 def read_recording(path: str | os.PathLike[str], partial: bool = False) -> Recording:
@@ -158,7 +162,7 @@ def _last_whole_message(file: Path) -> int:
     """Offset behind the last whole message.
 
     A stream is a header of 12 bytes that starts with RRF2, then messages of kind, length (8 bytes each, little
-    endian) and payload; kind 0 ends it, and what follows is the footer.
+    endian) and payload; kind 0 ends it, and its payload and the footer, which ends in RRF2FOOT and 4 bytes, follow.
     """
     size = file.stat().st_size
     with file.open("rb") as stream:
@@ -172,7 +176,8 @@ def _last_whole_message(file: Path) -> int:
                 return offset
             kind, length = (int.from_bytes(part, "little") for part in (head[:8], head[8:]))
             if kind == 0:
-                return size
+                stream.seek(max(offset, size - 12))
+                return size if stream.read(8) == b"RRF2FOOT" else offset
             if kind > 3:
                 raise ValueError(f"{file}: corrupted: unknown kind of message {kind} at byte {offset}")
             if offset + 16 + length > size:
@@ -183,7 +188,7 @@ def _last_whole_message(file: Path) -> int:
 
 def _verify(readable: Path, file: Path, partial: bool) -> None:
     """Runs rerun's verifier in a child process, which a malformed file may well bring down."""
-    command = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(readable)]
+    command = [*_RERUN_CLI, "rrd", "verify", str(readable.resolve())]
     command += ["--check-footers=false"] if partial else []
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}
     ended = subprocess.run(command, capture_output=True, text=True, errors="replace", env=environment, check=False)
@@ -265,11 +270,10 @@ def _assemble(file: Path, application: str, has_blueprint: bool, table: _Table, 
     elif not partial:
         raise ValueError("cut short: its closing document is missing (partial=True reads what is whole)")
     cloths = _meshes(table, scene, "cloth")
-    steps, sim_time = _step_axis(table)
+    steps, sim_time, outcomes = _step_axis(table, cloths, partial and not complete)
     if complete and documents["end"].get("steps") != len(steps):
         raise ValueError(f"corrupted: {len(steps)} steps, its closing document counts {documents['end'].get('steps')}")
     action_steps, actions = _actions(table.get("/episode/action", {}))
-    outcome = table.get("/episode/outcome", {})
     return Recording(
         path=file,
         application=application,
@@ -294,7 +298,7 @@ def _assemble(file: Path, application: str, has_blueprint: bool, table: _Table, 
         },
         action_steps=action_steps,
         actions=actions,
-        outcomes={k.removeprefix("clothgym:"): c[2].flatten().to_pylist() for k, c in outcome.items()},
+        outcomes=outcomes,
         documents=documents,
     )
 
@@ -388,14 +392,33 @@ def _meshes(table: _Table, scene: dict[str, Any], kind: str) -> dict[str, MeshTr
     return tracks
 
 
-def _step_axis(table: _Table) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Steps and times of the cloths (every step has them)."""
+def _step_axis(
+    table: _Table, cloths: dict[str, MeshTrack], partial: bool
+) -> tuple[NDArray[np.int64], NDArray[np.float64], dict[str, list[Any]]]:
+    """Steps that every cloth (and the outcome, if there is one) has, their times, and their outcomes.
+
+    In a whole file they agree; one that was cut may lack the last batch of some.
+    """
+    outcome = table.get("/episode/outcome", {})
+    axes = [track.steps for track in cloths.values()] + [column[0] for column in outcome.values()]
+    steps = axes[0] if axes else np.empty(0, np.int64)
+    for axis in axes[1:]:
+        if not np.array_equal(axis, steps):
+            if not partial:
+                raise ValueError("corrupted: its cloths and outcomes have different steps")
+            steps = np.intersect1d(steps, axis)
+    times = {}
     for entity, columns in table.items():
         if entity.startswith("/world/cloth/") and "Mesh3D:vertex_positions" in columns:
-            steps, nanoseconds, _ = columns["Mesh3D:vertex_positions"]
-            if steps is not None and nanoseconds is not None:
-                return steps, nanoseconds / 1e9
-    return np.empty(0, np.int64), np.empty(0)
+            axis, nanoseconds, _ = columns["Mesh3D:vertex_positions"]
+            times = dict(zip(axis.tolist(), (nanoseconds / 1e9).tolist()))
+    kept = {}
+    for name, (axis, _, column) in outcome.items():
+        values = column.flatten().to_pylist()
+        if len(values) != len(axis):
+            raise ValueError(f"corrupted: {name} has not one value a step")
+        kept[name.removeprefix("clothgym:")] = [v for v, k in zip(values, axis) if k in steps]
+    return steps, np.array([times[int(k)] for k in steps], dtype=np.float64), kept
 
 
 def _slices(column: Any) -> list[slice]:
@@ -446,7 +469,7 @@ def _unescape(path: str) -> str:
 
 def viewer_command(*arguments: str, port: int = 9876) -> list[str]:
     """Command line of a rerun viewer that listens on the loopback alone (its own default is every interface)."""
-    return [sys.executable, "-m", "rerun_cli", *arguments, "--bind", "127.0.0.1", "--port", str(port)]
+    return [*_RERUN_CLI, *arguments, "--bind", "127.0.0.1", "--port", str(port)]
 
 
 def start_viewer(port: int = 9876, *arguments: str, seconds: float = 20.0) -> subprocess.Popen[bytes] | None:
@@ -475,8 +498,8 @@ def start_viewer(port: int = 9876, *arguments: str, seconds: float = 20.0) -> su
             break
         time.sleep(0.05)
     code = process.poll()
-    if code is None:
-        process.terminate()
+    if code is None and hasattr(os, "killpg"):
+        os.killpg(process.pid, signal.SIGTERM)  # the viewer is a child of that process
     state = "did not start in time" if code is None else f"ended at once (exit code {code})"
     raise ValueError(f"spawn = True: the rerun viewer {state}; it needs a display and a graphics driver")
 

@@ -8,17 +8,22 @@ from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.kernels import contact as kernels
+from clothgym.kernels import kdop
 from clothgym.kernels.contact import Contacts
 from clothgym.mesh import SurfaceArrays
 from clothgym.model import ClothModel
+
+
+_ERRATIC = 0.5
+"""Slack of a vertex as a share of its expected travel: fast vertices are the ones that change their mind."""
 
 
 class Candidates:
     """Pairs of primitives that may touch within a step.
 
     Every vertex is expected at start + share u with share in [0, 1]. Face pairs come from boxes swept along u and widened
-    by half the thickness and the slack; as long as no vertex is further than the slack from where it was expected, no pair
-    is missing. `deviation` says how far they are.
+    by half the thickness and each vertex's slack; as long as no vertex is further than its slack from where it was expected, no
+    pair is missing.
     """
 
     def __init__(self, model: ClothModel, tree: Hierarchy | BruteForce) -> None:
@@ -31,7 +36,8 @@ class Candidates:
         self.count = 0
         self.start: FloatArray = np.zeros((model.vertex_count, 3))
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
-        self.slack = 0.0
+        self.slack: FloatArray = np.zeros(model.vertex_count)
+        self.sweeps: FloatArray = np.zeros((model.vertex_count, 6))
         self.face_pairs: IntArray = np.zeros((0, 2), np.int32)
         self.gathered = 0
 
@@ -39,10 +45,13 @@ class Candidates:
         """Face pairs for vertices that leave x along `travel` (V, 3) [m]."""
         self.start[:] = x
         self.travel[:] = travel
-        largest = float(np.sqrt(np.einsum("ij,ij->i", travel, travel).max()))
         thickness = float(self.model.thickness.max())
-        self.slack = 0.5 * thickness + 0.05 * largest
-        self.tree.refit(self.start, self.start + self.travel, 0.5 * thickness + self.slack)
+        np.sqrt(np.einsum("ij,ij->i", travel, travel), out=self.slack)
+        self.slack *= _ERRATIC
+        self.slack += 0.25 * thickness
+        end, pads = self.start + self.travel, self.slack + 0.5 * thickness
+        kdop.vertex_intervals(self.start, end, kdop.AXES[6], np.ones(3), pads, self.sweeps)
+        self.tree.refit(self.start, end, pads)
         self.face_pairs = self.tree.self_pairs()
 
     def gather(self) -> None:
@@ -54,6 +63,7 @@ class Candidates:
                 self.surface,
                 self.model.thickness,
                 self.slack,
+                self.sweeps,
                 self.face_pairs,
                 self.quads,
                 self.kinds,
@@ -67,9 +77,9 @@ class Candidates:
         self.count = found
         self.gathered += found
 
-    def deviation(self, x: FloatArray, share: float) -> float:
-        """Largest distance [m] of a vertex from start + share travel."""
-        return kernels.largest_deviation(x, self.start, self.travel, share)
+    def outdated(self, x: FloatArray, share: float) -> bool:
+        """Whether a vertex is further than its slack from start + share travel, so that pairs may be missing."""
+        return kernels.largest_deviation(x, self.start, self.travel, share, self.slack) > 0.0
 
 
 class ContactBuffers:

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from clothgym.benchmarks.report import Table
-from clothgym.commands import JsonOption, answer, progress_bar, reserved_stdout, say
+from clothgym.commands import JsonOption, Stopped, answer, progress_bar, reserved_stdout
 
 
 def register_record(app: typer.Typer) -> None:
@@ -119,8 +119,7 @@ def _record_episode(
                     ended = "terminated" if terminated else "truncated"
                     break
     except KeyboardInterrupt:
-        ended = "interrupted"
-        say(f"stopped: {count} steps are in {out}")
+        raise Stopped(f"stopped: {count} steps are in {out}") from None
     finally:
         env.close()
     return {

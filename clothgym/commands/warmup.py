@@ -1,0 +1,156 @@
+"""`clothgym warmup`: compiles the kernels once, so that later runs start at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import pkgutil
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import typer
+
+from clothgym.benchmarks.report import Table
+from clothgym.commands import JsonOption, answer, progress_bar, reserved_stdout
+
+_HELP = """Compiles the kernels by running every feature on tiny inputs; what is compiled already is loaded.
+
+Environment: CLOTHGYM_CACHE_DIR names the folder in which compiled kernels are kept.
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command("warmup", help=_HELP)(warmup)
+
+
+def warmup(as_json: JsonOption = False) -> None:
+    with reserved_stdout(as_json):
+        document = compile_kernels()
+    rows = [(part["name"], part["seconds"], part["kernels"]) for part in document["parts"]]
+    rows.append(("all", document["seconds"], document["compiled"]))
+    note = f"{document['compiled']} of {document['kernels']} kernels are ready in {document['cache']}"
+    if document["not_compiled"]:
+        note += f"; not reached: {', '.join(document['not_compiled'])}"
+    answer(document, [Table("Kernels", ("part", "seconds", "new kernels"), rows, note)], as_json)
+
+
+def compile_kernels() -> dict[str, Any]:
+    """Runs every part and counts the kernels that it brought: compiled, or loaded from the cache."""
+    from clothgym import _jit, kernels
+
+    parts: list[dict[str, Any]] = []
+    started = time.perf_counter()
+    with progress_bar("compiling kernels", len(PARTS)) as bar:
+        for number, (name, part) in enumerate(PARTS.items()):
+            bar(number, name)
+            before, clock = _jit.compiled_count()[0], time.perf_counter()
+            part()
+            seconds = time.perf_counter() - clock
+            parts.append({"name": name, "seconds": seconds, "kernels": _jit.compiled_count()[0] - before})
+    seconds = time.perf_counter() - started
+    for module in pkgutil.iter_modules(kernels.__path__):  # kernels that no part has touched count as not reached
+        importlib.import_module(f"{kernels.__name__}.{module.name}")
+    compiled, known = _jit.compiled_count()
+    return {
+        "seconds": seconds,
+        "compiled": compiled,
+        "kernels": known,
+        "not_compiled": sorted(f"{k.__module__.split('.')[-1]}.{k.__name__}" for k in _jit.kernels if not k.signatures),
+        "cache": str(_jit.cache_folder),
+        "parts": parts,
+    }
+
+
+def _geometry() -> None:
+    import clothgym as cg
+
+    vertices, faces = _crossing_sheets()
+    hits = cg.intersections(vertices, faces)
+    hits.gradient()
+    _ = hits.contours, hits.points, hits.pairs
+    cg.proximities(vertices, faces, 0.05)
+    for strategy in ("local", "global", "hybrid"):
+        cg.untangle(vertices, faces, strategy=strategy, passes=2)
+
+
+def _crossing_sheets() -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) and (F, 3): a sheet of 4 x 4 cells that another one cuts at a slant."""
+    import clothgym as cg
+
+    flat = cg.grid(0.4, 0.4, 4, 4)
+    first = np.asarray(flat.vertices)
+    other = first + np.array([0.013, 0.007, 0.031])
+    other[:, 1] += 0.4 * other[:, 0]
+    faces = np.asarray(flat.faces)
+    return np.concatenate([first, other]), np.concatenate([faces, faces + len(first)])
+
+
+def _steps(scene: Any, fidelity: Any, count: int = 2) -> Any:
+    import clothgym as cg
+
+    simulation = cg.Simulation(scene, fidelity=fidelity)
+    simulation.reset(seed=0)
+    for _ in range(count):
+        simulation.step()
+    simulation.metrics()
+    return simulation
+
+
+def _sheet() -> None:
+    import clothgym as cg
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    _steps(scene, "draft")
+    euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
+    for modification in ("none", "literal", "relative"):
+        _steps(scene, dataclasses.replace(euler, velocity_modification=modification))
+
+
+def _contact() -> None:
+    import clothgym as cg
+
+    scene = cg.scenes.make("squares", count=2)
+    for fidelity in ("draft", dataclasses.replace(cg.Fidelity.preset("draft"), detection="brute_force")):
+        _steps(scene, fidelity)
+    vertices, faces = _crossing_sheets()
+    crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
+    for near_hits in ("keep", "off_any", "off_both"):
+        _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
+    euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
+    _steps(crossing, euler, 1)
+
+
+def _wind_and_grips() -> None:
+    import clothgym as cg
+
+    vertices, faces = _crossing_sheets()
+    scene = cg.Scene(cloths=[cg.Cloth((vertices, faces))], wind=(1.0, 0.0, 0.5), grips=[cg.Grip(radius=0.2)])
+    simulation = cg.Simulation(scene, fidelity="draft")
+    simulation.reset(seed=0)
+    simulation.place_grip(0, vertices[0])
+    simulation.grasp(0)
+    simulation.step()
+
+
+def _pictures() -> None:
+    from clothgym.recording import frames
+
+    vertices, faces = _crossing_sheets()
+    camera = frames.Camera.framing(vertices)
+    lines = [frames.Lines(vertices[:2].reshape(1, 2, 3))]
+    drawable = frames.Drawable(vertices, faces)
+    frames.render([drawable], camera, 32, 32, lines, ground=float(vertices[:, 1].min()), antialias=2)
+    frames.render_depth([drawable], camera, 32, 32, ground=float(vertices[:, 1].min()))
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    "geometry": _geometry,
+    "sheet": _sheet,
+    "contact": _contact,
+    "wind and grippers": _wind_and_grips,
+    "pictures": _pictures,
+}
+"""Every feature on a tiny input, in this order."""

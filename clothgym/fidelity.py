@@ -56,7 +56,7 @@ class Fidelity:
     h0: float = 1.0
     g0: float = 1.0
     velocity_share: float = 1.0
-    speed_limit: float = 5.0
+    speed_limit: float = 2.0
     contacts_near_hits: str = "off_any"
     rings: int = 1
 

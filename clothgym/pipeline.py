@@ -188,7 +188,10 @@ class _FacePairs:
 
 
 class _Untangle:
-    """Hits among the face pairs, and the passes of a strategy against them."""
+    """Hits among the face pairs, the passes of a strategy against them, and the vertices that contact leaves alone.
+
+    Memoryless: everything follows from the current positions.
+    """
 
     reads = ("positions", "velocities", "face_pairs")
     writes = ("positions", "velocities", "face_pairs", "apart")
@@ -198,10 +201,13 @@ class _Untangle:
         from clothgym.kernels.untangling import mark_ring
         from clothgym.response import untangling
 
-        self.name = f"untangle [{fidelity.untangling} x{fidelity.untangling_passes}]"
+        self.strategy = untangling.get(fidelity.untangling)
+        self.passes = fidelity.untangling_passes if self.strategy is not None else 0
+        self.name = f"intersections [untangle {fidelity.untangling} x{self.passes}, contact {fidelity.contacts_near_hits}]"
+        if self.strategy is None:
+            self.writes = ("apart",)
         self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
         self.find, self.mark_ring = Intersections, mark_ring
-        self.strategy = untangling.get(fidelity.untangling)
         self.context = untangling.Context
         self.h0 = fidelity.h0 * model.mean_edge
         self.stack = np.zeros(model.vertex_count, np.int64)
@@ -210,35 +216,40 @@ class _Untangle:
         state, model, fidelity = frame.state, frame.model, self.fidelity
         self.apart[:] = False
         face_pairs = self.candidates.face_pairs
-        assert self.strategy is not None
-        for number in range(fidelity.untangling_passes):
+        moved = False
+        for number in range(max(1, self.passes)):
             if number > 0:
                 self.candidates.tree.refit(state.positions, state.positions, 0.0)
                 face_pairs = self.candidates.tree.self_pairs()
             hits = self.find(state.positions.copy(), model.surface, face_pairs)
             frame.count("edge_triangle_tests", hits.edge_triangle_tests)
             frame.count("hits", hits.hit_count)
+            self.apart[:] = False
             if hits.hit_count == 0:
                 break
-            frame.untangling_passes += 1
-            context = self.context(hits, model.inverse_masses, model.vertex_areas, self.h0, fidelity.g0)
-            corrections = self.strategy.propose(context)
-            self._apply(frame, corrections.displacements)
-            self.apart[:] = False
+            inside = None
+            if self.strategy is not None:
+                frame.untangling_passes += 1
+                context = self.context(hits, model.inverse_masses, model.vertex_areas, self.h0, fidelity.g0)
+                corrections = self.strategy.propose(context)
+                self._apply(frame, corrections.displacements)
+                inside, moved = corrections.apart, True
             if fidelity.contacts_near_hits != "keep":
-                edges, faces = model.surface.edges[hits.hit_edge], model.surface.faces[hits.hit_face]
-                seeds = np.unique(np.concatenate([edges.ravel(), faces.ravel()])).astype(np.int64)
-                start, neighbours, _ = model.surface.neighbourhood
-                self.mark_ring(start, neighbours, seeds, fidelity.rings, self.apart, self.stack)
-                if corrections.apart is not None:
-                    self.apart |= corrections.apart
-        else:
-            self.pairs.run(frame)
-            return
-        if number > 0:
+                self._mark(model, hits, inside)
+        if moved:
             self.pairs.run(frame)
 
+    def _mark(self, model: ClothModel, hits: Any, inside: Any) -> None:
+        """Vertices around the hits, and inside enclosed regions: contact there would lock the wrong side."""
+        edges, faces = model.surface.edges[hits.hit_edge], model.surface.faces[hits.hit_face]
+        seeds = np.unique(np.concatenate([edges.ravel(), faces.ravel()])).astype(np.int64)
+        start, neighbours, _ = model.surface.neighbourhood
+        self.mark_ring(start, neighbours, seeds, self.fidelity.rings, self.apart, self.stack)
+        if inside is not None:
+            self.apart |= inside
+
     def _apply(self, frame: Frame, moved: FloatArray) -> None:
+        """Moves vertices; a share of the displacement per step also becomes velocity, up to the speed limit."""
         state, fidelity = frame.state, self.fidelity
         state.positions += moved
         if fidelity.velocity_share == 0.0:
@@ -372,7 +383,7 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
     apart = np.zeros(model.vertex_count, np.bool_)
     pairs = _FacePairs(candidates, scene.step, np.asarray(scene.gravity, float))
     stages.append(pairs)
-    if fidelity.untangling != "none":
+    if fidelity.untangling != "none" or fidelity.contacts_near_hits != "keep":
         stages.append(_Untangle(candidates, model, fidelity, pairs, apart))
     stages.append(_PrimitivePairs(candidates))
     stages.append(_ContactSubsteps(step, candidates, model, fidelity, apart, windy))

@@ -7,8 +7,10 @@ A command is an entry of the group `clothgym.commands`: the entry's name is the 
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -37,6 +39,35 @@ def answer(document: dict[str, Any], tables: Sequence[Table], as_json: bool) -> 
 def say(line: str) -> None:
     """One line for a human, on standard error."""
     print(line, file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def ctrl_c_between_steps() -> Iterator[Callable[[], None]]:
+    """Holds Ctrl-C back until the work says that it may come, so that no file is left in the middle of a step; a
+    second Ctrl-C comes at once.
+
+    Yields a function that raises KeyboardInterrupt when Ctrl-C was pressed since; call it between the steps.
+    """
+    pressed = False
+
+    def note(number: int, place: Any) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    def may_stop() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set a handler
+        yield may_stop
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield may_stop
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ import typer
 
 from clothgym.arrays import check_number
 from clothgym.benchmarks.report import Table, json_ready
-from clothgym.commands import JsonOption, Stopped, answer, progress_bar, reserved_stdout
+from clothgym.commands import JsonOption, Stopped, answer, ctrl_c_between_steps, progress_bar, reserved_stdout
 
 _HELP = """Simulates a ready scene (`clothgym scenes` lists them) or a scene file (.json), and prints its metrics.
 
@@ -82,19 +82,25 @@ def _simulate(
     total = round(duration / scene.step)
     done = 0
     started = time.perf_counter()
-    with _recording(simulation, record) as log, _pictures(simulation, frames) as draw, progress_bar(name, total) as bar:
-        log(0)
-        draw(0)
-        try:
+    try:
+        with (
+            ctrl_c_between_steps() as may_stop,
+            _recording(simulation, record) as log,
+            _pictures(simulation, frames) as draw,
+            progress_bar(name, total) as bar,
+        ):
+            log(0)
+            draw(0)
             for done in range(1, total + 1):
                 simulation.step()
                 log(done)
                 draw(done)
                 bar(done, f"t = {simulation.time:.2f} s")
-        except KeyboardInterrupt:
-            kept = [str(path) for path in (record, frames) if path is not None]
-            kept_line = f"; kept what there is of {' and '.join(kept)}" if kept else ""
-            raise Stopped(f"stopped at t = {simulation.time:.3f} s of {duration:g} s{kept_line}") from None
+                may_stop()
+    except KeyboardInterrupt:
+        kept = [str(path) for path in (record, frames) if path is not None]
+        kept_line = f"; kept what there is of {' and '.join(kept)}" if kept else ""
+        raise Stopped(f"stopped at t = {simulation.time:.3f} s of {duration:g} s{kept_line}") from None
     return {
         "scene": name,
         "parameters": settings,

@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +24,10 @@ from numpy.typing import NDArray
 EPISODE_FORMAT = "clothgym-episode"
 EPISODE_VERSION = 1
 ACTION_TYPES = ("float32", "float64", "int64")
+ARRAY_TYPES = (
+    *("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
+    *("float16", "float32", "float64"),
+)
 MAX_STEPS = 10_000_000
 MAX_JSON = 2_000_000_000
 _PACKAGES = ("clothgym", "numpy", "numba", "scipy", "gymnasium", "rerun-sdk")
@@ -184,22 +188,22 @@ def episode_from(document: Mapping[str, Any]) -> Episode:
 
 def encode_array(array: NDArray[Any]) -> dict[str, Any]:
     """An array as JSON: type, shape and the base64 of its little-endian bytes."""
-    values = np.ascontiguousarray(array)
+    values = np.asarray(array, order="C")
     data = values.astype(values.dtype.newbyteorder("<")).tobytes()
     return {"dtype": values.dtype.name, "shape": list(values.shape), "base64": base64.b64encode(data).decode()}
 
 
-def decode_array(value: Any, name: str = "array") -> NDArray[Any]:
+def decode_array(value: Any, name: str = "array", types: tuple[str, ...] = ACTION_TYPES) -> NDArray[Any]:
     """Reads `encode_array`.
 
     Raises:
-        ValueError: another type than float32, float64, int64, a wrong shape, or not as many bytes as the shape needs.
+        ValueError: a type that is not among `types`, a wrong shape, or not as many bytes as the shape needs.
     """
     if not isinstance(value, dict) or set(value) != {"dtype", "shape", "base64"}:
         raise ValueError(f"{name}: expected an object of dtype, shape and base64")
     dtype, shape, text = value["dtype"], value["shape"], value["base64"]
-    if dtype not in ACTION_TYPES:
-        raise ValueError(f"{name}: dtype = {dtype!r}: expected one of {', '.join(ACTION_TYPES)}")
+    if dtype not in types:
+        raise ValueError(f"{name}: dtype = {dtype!r}: expected one of {', '.join(types)}")
     if not isinstance(shape, list) or len(shape) > 4 or not all(_is_seed(n) for n in shape):
         raise ValueError(f"{name}: shape = {shape!r}: expected a list of at most 4 counts")
     if not isinstance(text, str):
@@ -214,33 +218,58 @@ def decode_array(value: Any, name: str = "array") -> NDArray[Any]:
 
 
 def as_json(value: Any, name: str) -> Any:
-    """JSON values for a keyword argument or option: numpy numbers and arrays become plain ones, and an object that
-    has `to_json` (a Fidelity) becomes {"__json__": its class name, "value": ...}.
+    """JSON values for a keyword argument or option, which `from_json_values` turns back.
+
+    Numpy's numbers and arrays keep their type ({"__array__": ...}), for a float32 computes other bits than a float;
+    an object that has `to_json` (a Fidelity) becomes {"__json__": its class name, "value": ...}; tuples become lists.
 
     Raises:
         ValueError: what JSON cannot hold, by the path to it.
     """
     if value is None or isinstance(value, str | bool):
         return value
-    if isinstance(value, np.generic):
-        return as_json(value.item(), name)
-    if isinstance(value, int):
-        return value
-    if isinstance(value, float):
+    if isinstance(value, float):  # np.float64 is one
         if not math.isfinite(value):
             raise ValueError(f"{name} = {value}: must be finite to be recorded")
-        return value
-    if isinstance(value, np.ndarray):
-        return as_json(value.tolist(), name)
+        return float(value)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.name in ARRAY_TYPES:
+        return {"__array__": encode_array(np.asarray(value))}
     if isinstance(value, Mapping):
         if not all(isinstance(k, str) for k in value):
             raise ValueError(f"{name}: its keys must be texts to be recorded")
         return {k: as_json(v, f"{name}[{k!r}]") for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [as_json(v, f"{name}[{i}]") for i, v in enumerate(value)]
-    if callable(getattr(value, "to_json", None)):
-        return {"__json__": type(value).__name__, "value": value.to_json()}
+    writer = getattr(value, "to_json", None)
+    if callable(writer):
+        return {"__json__": type(value).__name__, "value": writer()}
     raise ValueError(f"{name}: a {type(value).__name__} cannot be recorded")
+
+
+def from_json_values(value: Any, name: str, objects: Mapping[str, Callable[[Any], Any]]) -> Any:
+    """What `as_json` was given.
+
+    Args:
+        value: JSON values.
+        name: where they stand, for errors.
+        objects: class name -> reader of what its `to_json` wrote; no other object is made.
+
+    Raises:
+        ValueError: a damaged array, or another object, by the path to it.
+    """
+    if isinstance(value, list):
+        return [from_json_values(v, f"{name}[{i}]", objects) for i, v in enumerate(value)]
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {"__array__"}:
+        return decode_array(value["__array__"], name, ARRAY_TYPES)[()]
+    if "__json__" in value:
+        if set(value) != {"__json__", "value"} or value["__json__"] not in objects:
+            raise ValueError(f"{name}: a {str(value['__json__'])[:80]!r} cannot be made from a file")
+        return objects[value["__json__"]](value["value"])
+    return {key: from_json_values(v, f"{name}[{key!r}]", objects) for key, v in value.items()}
 
 
 # ---- versions ----

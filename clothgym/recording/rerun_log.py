@@ -538,7 +538,7 @@ def blueprint(bounds: tuple[ArrayLike, ArrayLike] | None = None) -> Any:
         "penetration [m]": ["metrics/penetration_depth"],
     }
     views = [rrb.TimeSeriesView(name=name, origin="/", contents=paths) for name, paths in plots.items()]
-    others = [rrb.TimeSeriesView(name=name, origin="/", contents=paths) for name, paths in rest.items()]
+    others: list[Any] = [rrb.TimeSeriesView(name=name, origin="/", contents=paths) for name, paths in rest.items()]
     others.append(rrb.TextDocumentView(name="episode", origin="clothgym/episode"))
     scene = rrb.Spatial3DView(name="scene", origin="world", eye_controls=eye)
     side = rrb.Vertical(*views, rrb.Tabs(*others))

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,8 +199,17 @@ def _verify(readable: Path, file: Path, partial: bool) -> None:
         raise ValueError(f"{file}: {reason}")
 
 
-_Table = dict[str, dict[str, tuple[NDArray[np.int64] | None, NDArray[np.int64] | None, Any]]]
-"""Entity -> component -> (steps, nanoseconds, list column), sorted by step; no steps for static data."""
+class _Column(NamedTuple):
+    """One component of one entity: an arrow list column with one list a row, sorted by step."""
+
+    static: bool
+    steps: NDArray[np.int64]
+    nanoseconds: NDArray[np.int64]
+    lists: Any
+
+
+_Table = dict[str, dict[str, _Column]]
+"""Entity -> component -> column."""
 
 
 def _read_chunks(file: Path) -> tuple[str, bool, _Table]:
@@ -215,43 +224,45 @@ def _read_chunks(file: Path) -> tuple[str, bool, _Table]:
         if len(stores) != 1:
             raise ValueError(f"holds {len(stores)} recordings, expected one")
         has_blueprint = bool(reader.blueprints())
-        pieces: dict[tuple[str, str], list[tuple[Any, Any, Any]]] = {}
+        pieces: dict[tuple[str, str], list[_Column]] = {}
+        nothing = np.empty(0, np.int64)
         for chunk in reader.stream(store=stores[0]):
             batch = chunk.to_record_batch()
             names = batch.schema.names
             if not chunk.is_static and not {"step", "sim_time"} <= set(names):
                 continue
-            steps = None if chunk.is_static else batch.column("step").to_numpy().astype(np.int64)
-            times = None if chunk.is_static else batch.column("sim_time").to_numpy().astype(np.int64)
+            steps = nothing if chunk.is_static else batch.column("step").to_numpy().astype(np.int64)
+            times = nothing if chunk.is_static else batch.column("sim_time").to_numpy().astype(np.int64)
             for name in names:
-                column = batch.column(name)
-                if ":" in name and pa.types.is_list(column.type):
-                    pieces.setdefault((str(chunk.entity_path), name), []).append((steps, times, column))
+                lists = batch.column(name)
+                if ":" in name and pa.types.is_list(lists.type):
+                    piece = _Column(chunk.is_static, steps, times, lists)
+                    pieces.setdefault((str(chunk.entity_path), name), []).append(piece)
     table: _Table = {}
     for (entity, name), parts in pieces.items():
         table.setdefault(entity, {})[name] = _join(entity, parts)
     return str(stores[0].application_id), has_blueprint, table
 
 
-def _join(entity: str, parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any, Any]:
+def _join(entity: str, parts: list[_Column]) -> _Column:
     """The pieces of one column, sorted by step."""
     import pyarrow as pa
 
-    if any(p[0] is None for p in parts):
-        if len(parts) != 1 or len(parts[0][2]) != 1:
+    if any(p.static for p in parts):
+        if len(parts) != 1 or len(parts[0].lists) != 1:
             raise ValueError(f"corrupted: {entity} was written more than once")
         return parts[0]
-    steps = np.concatenate([p[0] for p in parts])
-    times = np.concatenate([p[1] for p in parts])
-    column = pa.concat_arrays([p[2] for p in parts])
-    if column.null_count:
+    steps = np.concatenate([p.steps for p in parts])
+    times = np.concatenate([p.nanoseconds for p in parts])
+    lists = pa.concat_arrays([p.lists for p in parts])
+    if lists.null_count:
         raise ValueError(f"corrupted: {entity} has empty rows")
     if np.any(np.diff(steps) <= 0):
         order = np.argsort(steps, kind="stable")
-        steps, times, column = steps[order], times[order], column.take(pa.array(order))
+        steps, times, lists = steps[order], times[order], lists.take(pa.array(order))
         if np.any(np.diff(steps) == 0):
             raise ValueError(f"corrupted: {entity} has two rows for one step")
-    return steps, times, column
+    return _Column(False, steps, times, lists)
 
 
 # ---- what is in it ----
@@ -287,7 +298,7 @@ def _assemble(file: Path, application: str, has_blueprint: bool, table: _Table, 
         contours=_contours(table.get("/world/contours", {})),
         hits=_points(table.get("/world/hits", {})),
         scalars={
-            _unescape(e.removeprefix("/metrics/")): (c["Scalars:scalars"][0], _flat(c["Scalars:scalars"][2], 1))
+            _unescape(e.removeprefix("/metrics/")): _series(c["Scalars:scalars"])
             for e, c in table.items()
             if e.startswith("/metrics/") and "Scalars:scalars" in c
         },
@@ -304,7 +315,7 @@ def _assemble(file: Path, application: str, has_blueprint: bool, table: _Table, 
 
 
 def _document(entity: str, columns: dict[str, Any]) -> dict[str, Any]:
-    texts = columns["TextDocument:text"][2].flatten().to_pylist() if "TextDocument:text" in columns else []
+    texts = columns["TextDocument:text"].lists.flatten().to_pylist() if "TextDocument:text" in columns else []
     try:
         document = json.loads(texts[0]) if len(texts) == 1 else None
     except (ValueError, RecursionError):
@@ -325,11 +336,11 @@ def _check_sums(table: _Table, end: dict[str, Any]) -> None:
         if column is None:
             raise ValueError(f"corrupted: {entity} {name} is missing")
         if name == "TextDocument:text":
-            found = [zlib.crc32(column[2].flatten().to_pylist()[0].encode())]
+            found = [zlib.crc32(column.lists.flatten().to_pylist()[0].encode())]
         else:
-            found = column_checksum(column[2])
-            if column[0] is not None:
-                found += [zlib.crc32(stamps.astype("<i8").tobytes()) for stamps in column[:2]]
+            found = column_checksum(column.lists)
+            if not column.static:
+                found += [zlib.crc32(stamps.tobytes()) for stamps in (column.steps, column.nanoseconds)]
         if found != sums:
             raise ValueError(f"corrupted: wrong checksum of {entity} {name}")
 
@@ -376,11 +387,13 @@ def _meshes(table: _Table, scene: dict[str, Any], kind: str) -> dict[str, MeshTr
         name = str(item.get("name"))
         columns = by_name.get(name, {})
         try:
-            faces = _flat(columns["Mesh3D:triangle_indices"][2], 3).astype(np.int32)
-            steps, _, positions = columns["Mesh3D:vertex_positions"]
-            normals = columns["Mesh3D:vertex_normals"][2]
+            faces = _flat(columns["Mesh3D:triangle_indices"].lists, 3).astype(np.int32)
+            static, steps, _, positions = columns["Mesh3D:vertex_positions"]
+            normals = columns["Mesh3D:vertex_normals"].lists
         except KeyError as error:
             raise ValueError(f"{kind} '{name}' has no {str(error).strip(chr(39))}") from None
+        if static:
+            raise ValueError(f"corrupted: {kind} '{name}' has no steps")
         lengths = positions.value_lengths().to_numpy()
         count = int(lengths[0])
         x, n = _flat(positions, 3), _flat(normals, 3)
@@ -400,7 +413,7 @@ def _step_axis(
     In a whole file they agree; one that was cut may lack the last batch of some.
     """
     outcome = table.get("/episode/outcome", {})
-    axes = [track.steps for track in cloths.values()] + [column[0] for column in outcome.values()]
+    axes = [track.steps for track in cloths.values()] + [column.steps for column in outcome.values()]
     steps = axes[0] if axes else np.empty(0, np.int64)
     for axis in axes[1:]:
         if not np.array_equal(axis, steps):
@@ -410,14 +423,14 @@ def _step_axis(
     times = {}
     for entity, columns in table.items():
         if entity.startswith("/world/cloth/") and "Mesh3D:vertex_positions" in columns:
-            axis, nanoseconds, _ = columns["Mesh3D:vertex_positions"]
-            times = dict(zip(axis.tolist(), (nanoseconds / 1e9).tolist()))
+            column = columns["Mesh3D:vertex_positions"]
+            times = dict(zip(column.steps.tolist(), (column.nanoseconds / 1e9).tolist()))
     kept = {}
-    for name, (axis, _, column) in outcome.items():
-        values = column.flatten().to_pylist()
-        if len(values) != len(axis):
+    for name, column in outcome.items():
+        values = column.lists.flatten().to_pylist()
+        if len(values) != len(column.steps):
             raise ValueError(f"corrupted: {name} has not one value a step")
-        kept[name.removeprefix("clothgym:")] = [v for v, k in zip(values, axis) if k in steps]
+        kept[name.removeprefix("clothgym:")] = [v for v, k in zip(values, column.steps) if k in steps]
     return steps, np.array([times[int(k)] for k in steps], dtype=np.float64), kept
 
 
@@ -426,21 +439,28 @@ def _slices(column: Any) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(np.concatenate([[0], stops[:-1]]), stops)]
 
 
+def _series(column: _Column) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    values = _flat(column.lists, 1)
+    if len(values) != len(column.steps):
+        raise ValueError("corrupted: a time series has not one value a step")
+    return column.steps, values
+
+
 def _contours(columns: dict[str, Any]) -> dict[int, tuple[NDArray[np.float32], NDArray[np.int64]]]:
     if "LineStrips3D:strips" not in columns:
         return {}
-    steps, _, strips = columns["LineStrips3D:strips"]
+    _, steps, _, strips = columns["LineStrips3D:strips"]
     segments = _flat(strips, 3).reshape(-1, 2, 3)
-    ids = _flat(columns["clothgym:contour"][2], 1)
+    ids = _flat(columns["clothgym:contour"].lists, 1)
     return {int(k): (segments[s], ids[s]) for k, s in zip(steps, _slices(strips))}
 
 
 def _points(columns: dict[str, Any]) -> dict[int, NDArray[np.float32]]:
     if "Points3D:positions" not in columns:
         return {}
-    steps, _, column = columns["Points3D:positions"]
-    positions = _flat(column, 3)
-    return {int(k): positions[s] for k, s in zip(steps, _slices(column))}
+    _, steps, _, lists = columns["Points3D:positions"]
+    positions = _flat(lists, 3)
+    return {int(k): positions[s] for k, s in zip(steps, _slices(lists))}
 
 
 def _actions(columns: dict[str, Any]) -> tuple[NDArray[np.int64], NDArray[Any]]:
@@ -448,9 +468,9 @@ def _actions(columns: dict[str, Any]) -> tuple[NDArray[np.int64], NDArray[Any]]:
     found: list[tuple[int, NDArray[Any]]] = []
     for kind in ACTION_TYPES:
         if f"clothgym:action_{kind}" in columns:
-            steps, _, column = columns[f"clothgym:action_{kind}"]
-            values = _flat(column, 1)
-            found += [(int(k), values[s]) for k, s in zip(steps, _slices(column))]
+            _, steps, _, lists = columns[f"clothgym:action_{kind}"]
+            values = _flat(lists, 1)
+            found += [(int(k), values[s]) for k, s in zip(steps, _slices(lists))]
     found.sort(key=lambda row: row[0])
     if not found:
         return np.empty(0, np.int64), np.empty((0, 0), np.float32)

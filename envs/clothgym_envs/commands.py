@@ -104,7 +104,8 @@ def _record_episode(
         raise ValueError(f"OUT.rrd = '{out}': braces may not stand in it")
     name = _full_id(env_id)
     policy = policies.get(name, policy_name)
-    env = RerunRecorder(gym.make(name, **{k: v for k, v in choices.items() if v is not None}), out, spawn=view)
+    kwargs: dict[str, Any] = {k: v for k, v in choices.items() if v is not None}
+    env = RerunRecorder(gym.make(name, **kwargs), out, spawn=view)
     horizon = steps or (env.spec.max_episode_steps if env.spec is not None else None) or 1000
     total, count, ended = 0.0, 0, "cut" if steps else "running"
     try:

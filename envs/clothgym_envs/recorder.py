@@ -15,7 +15,15 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clothgym.recording.episode import Episode, as_json, differing_versions, environment_versions, episode_from
+from clothgym.fidelity import Fidelity
+from clothgym.recording.episode import (
+    Episode,
+    as_json,
+    differing_versions,
+    environment_versions,
+    episode_from,
+    from_json_values,
+)
 from clothgym.recording.rerun_log import RerunLog
 from clothgym.recording.rerun_read import Recording, read_recording
 
@@ -135,15 +143,13 @@ class RerunRecorder(gym.Wrapper, gym.utils.RecordConstructorArgs):
         episode_seed = getattr(base, "episode_seed", None)
         if episode_seed is None:
             obstacles.append("the environment reports no episode_seed")
-        fidelity = getattr(base, "fidelity", None)
-        resolved = fidelity.to_json() if hasattr(fidelity, "to_json") else None
         return {
             "env_id": spec.id if spec is not None else type(base).__name__,
             "kwargs": kwargs,
             "max_episode_steps": spec.max_episode_steps if spec is not None else None,
             "wrappers": list(self._wrappers),
             "level": str(kwargs.get("level", getattr(base, "level", ""))),
-            "fidelity": json.loads(resolved) if isinstance(resolved, str) else resolved,
+            "fidelity": _fidelity_of(self.env),
             "seed": None if seed is None else int(seed),
             "episode_seed": 0 if episode_seed is None else int(episode_seed),
             "options": None if options is None else _json_or_note(dict(options), "options", obstacles),
@@ -182,6 +188,12 @@ def _wrapper_names(env: gym.Env[Any, Any]) -> list[tuple[str, gym.Env[Any, Any]]
         found.append((type(env).__name__, env))
         env = env.env
     return found
+
+
+def _fidelity_of(env: gym.Env[Any, Any]) -> dict[str, Any] | None:
+    """The environment's fidelity in full, or None when it tells none."""
+    fidelity = getattr(env.unwrapped, "fidelity", None)
+    return json.loads(fidelity.to_json()) if isinstance(fidelity, Fidelity) else None
 
 
 def _numbers(info: Mapping[str, Any]) -> dict[str, float]:
@@ -255,7 +267,7 @@ def make_again(episode: Episode) -> gym.Env[Any, Any]:
     importlib.import_module("clothgym_envs")
     if episode.env_id not in gym.registry:
         raise ValueError(f"env_id = {episode.env_id!r}: this version of clothgym has no such environment")
-    kwargs = {name: _decode(value, f"kwargs[{name!r}]") for name, value in episode.kwargs.items()}
+    kwargs = from_json_values(episode.kwargs, "kwargs", {"Fidelity": Fidelity.from_json})
     kwargs.pop("render_mode", None)  # pictures are no part of an episode
     foreign = {"id", "max_episode_steps", "vectorization_mode", "disable_env_checker"} & set(kwargs)
     if foreign:
@@ -264,17 +276,6 @@ def make_again(episode: Episode) -> gym.Env[Any, Any]:
         return gym.make(episode.env_id, max_episode_steps=episode.max_episode_steps, disable_env_checker=True, **kwargs)
     except Exception as error:  # what a file asks for may be anything
         raise ValueError(f"{episode.env_id} with {episode.kwargs} cannot be made: {error}") from None
-
-
-def _decode(value: Any, name: str) -> Any:
-    """Keyword arguments from JSON; a Fidelity is the only object that may be among them."""
-    if isinstance(value, dict) and "__json__" in value:
-        if value["__json__"] != "Fidelity" or set(value) != {"__json__", "value"}:
-            raise ValueError(f"{name}: a {value['__json__']!r} cannot be made from a file")
-        from clothgym.fidelity import Fidelity
-
-        return Fidelity.from_json(value["value"])
-    return value
 
 
 def replay(
@@ -300,8 +301,7 @@ def replay(
     env = make_again(episode)
     try:
         difference, done = _compare(env, episode, positions, advance or (lambda _: None))
-        fidelity = getattr(env.unwrapped, "fidelity", None)
-        now = fidelity.to_json() if hasattr(fidelity, "to_json") else None
+        fidelity = _fidelity_of(env)
     finally:
         env.close()
     versions = differing_versions(episode.versions, environment_versions())
@@ -310,7 +310,7 @@ def replay(
         "first_difference": difference,
         "steps": done,
         "differing_versions": {name: list(pair) for name, pair in versions.items()},
-        "fidelity_differs": (json.loads(now) if isinstance(now, str) else now) != episode.fidelity,
+        "fidelity_differs": fidelity != episode.fidelity,
     }
 
 
@@ -356,7 +356,7 @@ def _compare(
 
 
 def _reset_again(env: gym.Env[Any, Any], episode: Episode) -> Any:
-    env.reset(seed=episode.episode_seed, options=episode.options)
+    env.reset(seed=episode.episode_seed, options=from_json_values(episode.options, "options", {}))
     return env.unwrapped.simulation  # type: ignore[attr-defined]
 
 

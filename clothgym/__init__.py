@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clothgym import scenes
+from clothgym import metrics, scenes
 from clothgym.detection.intersections import Contour, Intersections, Proximities, intersections, proximities
 from clothgym.errors import MissingExtraError, SimulationError
 from clothgym.fidelity import Fidelity
@@ -32,6 +32,7 @@ __all__ = [
     "__version__",
     "grid",
     "intersections",
+    "metrics",
     "proximities",
     "scenes",
     "untangle",

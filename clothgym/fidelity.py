@@ -12,7 +12,7 @@ from clothgym.arrays import check_choice, check_number
 INTEGRATORS = ("xpbd", "symplectic_euler")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force")
-CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both")
+CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
 
@@ -38,7 +38,9 @@ class Fidelity:
         velocity_share: share of a correction that also goes into the velocity, 0 to 1.
         speed_limit: corrections speed up no vertex beyond this [m/s].
         contacts_near_hits: beside an intersection, contact locks the wrong side: "keep" it all the same, "off_any" = leave
-            out pairs with a vertex there, "off_both" = leave out pairs with vertices there on both sides.
+            out pairs with a vertex there, "off_both" = leave out pairs with vertices there on both sides, "yield" = such a
+            contact gives way above yield_force: weight does not pull layers through each other, a hand does.
+        yield_force: [N] a contact, for "yield".
         rings: how many edges around a hit count as beside it.
     """
 
@@ -58,6 +60,7 @@ class Fidelity:
     velocity_share: float = 1.0
     speed_limit: float = 2.0
     contacts_near_hits: str = "off_any"
+    yield_force: float = 0.02
     rings: int = 1
 
     def __post_init__(self) -> None:
@@ -74,6 +77,7 @@ class Fidelity:
         check_number(self.g0, "fidelity.g0", 1e-9, 1e9)
         check_number(self.velocity_share, "fidelity.velocity_share", 0.0, 1.0)
         check_number(self.speed_limit, "fidelity.speed_limit", 1e-3, 1e3)
+        check_number(self.yield_force, "fidelity.yield_force", 1e-9, 1e9)
         check_number(self.rings, "fidelity.rings", 0, 10, integer=True)
         for field, choices in (("k", DOPS), ("arity", ARITIES)):
             if getattr(self, field) not in choices:

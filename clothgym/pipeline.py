@@ -286,7 +286,10 @@ class _ContactSubsteps:
 
         self.step, self.candidates, self.apart, self.kernels = step, candidates, apart, contact
         self.contacts = ContactBuffers(max(1024, len(model.faces)))
-        self.both = fidelity.contacts_near_hits == "off_both"
+        self.near = (
+            fidelity.contacts_near_hits == "off_both",
+            fidelity.yield_force if fidelity.contacts_near_hits == "yield" else 0.0,
+        )
         self.rounds = fidelity.repair_rounds
         self.name = f"contact substeps [{step.label}]"
         if windy:
@@ -317,7 +320,7 @@ class _ContactSubsteps:
                 found.gather()
                 frame.count("rebuilds", 1)
                 now = frame.clock(f"{self.name}: find again", now)
-            self.contacts.narrow(x, p, found, self.apart, self.both)
+            self.contacts.narrow(x, p, found, self.apart, *self.near)
             frame.count("contacts", self.contacts.active)
             now = frame.clock(f"{self.name}: closest points", now)
             self.kernels.solve(
@@ -331,7 +334,7 @@ class _ContactSubsteps:
                     # something moved further than expected: look again around where everything really goes
                     found.expect(x, p - x)
                     found.gather()
-                    self.contacts.narrow(x, p, found, self.apart, self.both)
+                    self.contacts.narrow(x, p, found, self.apart, *self.near)
                     base, share = n - s.substeps, 1.0
                     frame.count("rebuilds", 1)
                     now = frame.clock(f"{self.name}: find again", now)

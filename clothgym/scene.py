@@ -6,7 +6,8 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -143,7 +144,6 @@ class Scene:
     step: float = 1.0 / 60.0
     duration: float = 2.0
     name: str = "scene"
-    _digest: str = field(default="", init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cloths", tuple(self.cloths))
@@ -163,13 +163,17 @@ class Scene:
         check_number(self.duration, "scene.duration", 0.0, 1e6)
         if self.ground is not None:
             check_number(self.ground, "scene.ground", -1e6, 1e6)
-        object.__setattr__(self, "_digest", hashlib.sha256(self.to_json().encode()).hexdigest())
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of everything in the scene; what equality and hash go by."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Scene) and self._digest == other._digest
+        return isinstance(other, Scene) and self.digest == other.digest
 
     def __hash__(self) -> int:
-        return hash(self._digest)
+        return hash(self.digest)
 
     @property
     def start(self) -> FloatArray:

@@ -93,6 +93,24 @@ class Simulation:
             remedy = "take more substeps or softer springs; the last finite state is kept"
             raise SimulationError(self.pipeline.stages[-1].name, quantity, before.time, remedy)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy is made from: kernels, trees and buffers are made anew, so pickles and deep copies are exact."""
+        return {
+            "scene": self.scene,
+            "fidelity": self.fidelity,
+            "state": self._state.copy(),
+            "grip_forces": self._grip_forces.copy(),
+            "untangling_passes": self._frame.untangling_passes,
+            "work": dict(self._frame.work),
+        }
+
+    def __setstate__(self, values: dict[str, Any]) -> None:
+        self.__init__(values["scene"], values["fidelity"])  # type: ignore[misc]
+        self._restore(values["state"])
+        self._grip_forces = values["grip_forces"]
+        self._frame.untangling_passes = values["untangling_passes"]
+        self._frame.work = values["work"]
+
     # --- what can be read -------------------------------------------------------------------------------------------
 
     @property
@@ -224,6 +242,10 @@ class Simulation:
     def held(self, grip: int) -> IntArray:
         """Ids of the vertices that a gripper holds."""
         return self._state.held_vertices[self._state.held_by == self._grip(grip)]
+
+    def set_grip_forces(self, forces: ArrayLike) -> None:
+        """What `grip_forces` shows, (G, 3) [N]: a measurement of the last step, kept by planners beside a snapshot."""
+        self._grip_forces[:] = np.asarray(forces, float)
 
     def _grip(self, grip: int) -> int:
         if not 0 <= grip < len(self.scene.grips):

@@ -36,6 +36,8 @@ SCENES = {
     "on_a_line-0": (meshes.EVERY["on_a_line-0"], 0.4),
     "flat_tangle-1": (meshes.EVERY["flat_tangle-1"], 0.1),
     "repeated_faces-0": (meshes.EVERY["repeated_faces-0"], 0.08),
+    "partly_folded_faces-0": (meshes.EVERY["partly_folded_faces-0"], 0.06),
+    "partly_folded_faces-1": (meshes.EVERY["partly_folded_faces-1"], 0.12),
     "turned_lattice-2": (meshes.EVERY["turned_lattice-2"], 0.06),
     "needles-thin": (meshes.EVERY["needles-1e-08"], 0.2),
     "needles-thinnest": (meshes.EVERY["needles-1e-15"], 0.2),
@@ -220,6 +222,15 @@ def test_vertices_without_faces_do_not_count():
     near = cg.proximities(more, faces, distance)
     assert_equal_near(near, vertices, faces, distance)
     assert np.asarray(near.vertex_triangle)[:, 0].max() < len(vertices)
+
+
+def test_faces_that_repeat_an_id_do_not_count():
+    vertices, faces, distance = scene("partly_folded_faces-0")
+    folded = [face for face, corners in enumerate(faces.tolist()) if len(set(corners)) < 3]
+    near = cg.proximities(vertices, faces, distance)
+    assert near.skipped_faces == len(folded) > 0
+    assert not np.isin(np.asarray(near.vertex_triangle)[:, 1], folded).any()
+    assert np.asarray(near.vertex_triangle)[:, 1].max() > len(faces) - len(folded)  # ids of the faces as given
 
 
 @pytest.mark.parametrize("name", ["crumple-0", "layers-close", "soup-2"])

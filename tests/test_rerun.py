@@ -403,6 +403,42 @@ def test_a_simulation_is_logged_without_being_touched(tmp_path: Path) -> None:
     assert found.ground == 0.1
 
 
+def test_recording_leaves_no_trace_in_a_simulation(tmp_path: Path) -> None:
+    """The library's own simulation: the same hashes with and without a recording."""
+    import clothgym.scenes
+    from clothgym.simulation import Simulation
+
+    def hashes(log: RerunLog | None) -> list[str]:
+        simulation = Simulation(clothgym.scenes.make("hanging_sheet", resolution=6), fidelity="draft")
+        simulation.reset(seed=0)
+        found = []
+        if log is not None:
+            log.open_simulation(simulation)
+        for k in range(6):
+            if log is not None:
+                log.log_simulation(k, simulation, scalars={"max_strain": simulation.metrics()["max_strain"]})
+            found.append(simulation.state_hash())
+            simulation.step()
+        positions.append(simulation.positions.copy())
+        return found
+
+    positions: list[np.ndarray] = []
+    plain = hashes(None)
+    with RerunLog(tmp_path / "sheet.rrd") as log:
+        assert hashes(log) == plain
+    assert np.array_equal(positions[0], positions[1])
+    found = read_recording(tmp_path / "sheet.rrd")
+    assert len(found.steps) == 6
+    assert sum(track.positions.shape[1] for track in found.cloths.values()) == len(positions[0])
+    assert found.sim_time[-1] > 0
+
+
+def test_rerun_switched_off_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RERUN", "off")
+    with pytest.raises(ValueError, match="RERUN=off"):
+        RerunLog(tmp_path / "a.rrd")
+
+
 def test_rerun_is_imported_only_when_a_recording_starts() -> None:
     code = """
         import sys

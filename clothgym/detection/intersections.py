@@ -63,8 +63,12 @@ class Intersections:
         self.skipped_faces = surface.skipped_faces
         s = surface.arrays
         keys = np.empty(max(256, len(surface.faces) // 4), np.int64)
+        # predicates multiply three coordinates: scaled by a power of two, their roundings stay far from over- and underflow
+        largest = float(np.abs(vertices).max()) if len(vertices) else 0.0
+        power = 0 if largest == 0.0 else 300 - int(np.frexp(largest)[1])
+        scaled = np.ldexp(vertices, power)
         while True:
-            found, tests = contour_kernels.find_hits(vertices, s.faces, s.face_edges, s.edges, s.edge_owner, pairs, keys)
+            found, tests = contour_kernels.find_hits(scaled, s.faces, s.face_edges, s.edges, s.edge_owner, pairs, keys)
             if found <= len(keys):
                 break
             keys = np.empty(found, np.int64)
@@ -78,8 +82,9 @@ class Intersections:
         self.weights = np.empty((found, 3))
         self.points = np.empty((found, 3))
         contour_kernels.place_hits(
-            vertices, s.faces, s.edges, self.hit_edge, self.hit_face, self.parameters, self.weights, self.points
+            scaled, s.faces, s.edges, self.hit_edge, self.hit_face, self.parameters, self.weights, self.points
         )
+        self.points = np.ldexp(self.points, -power)
         self._join()
 
     def _join(self) -> None:
@@ -194,7 +199,7 @@ class Intersections:
             hits = order[bounds[c] : bounds[c + 1]]
             borders = hits[degree[hits] == 1]
             joined = tuple(int(i) for i in np.unique(np.r_[on_edge[hits], on_face[hits]]))
-            closed = len(borders) == 0 and loops[c] == 0 and holes[c] == 0
+            closed = bool(len(borders) == 0 and loops[c] == 0 and holes[c] == 0)
             if (degree[hits] > 2).any():
                 kind = "branched"
             elif closed:

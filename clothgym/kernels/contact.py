@@ -30,6 +30,7 @@ class Contacts(NamedTuple):
     weights: NDArray  # (K, 4) signed barycentric weights, sum 0
     normals: NDArray  # (K, 3) from the second side to the first, frozen for the substep
     rest: NDArray  # (K,) thickness [m]
+    limit: NDArray  # (K,) largest normal force [N]; inf except beside an intersection
     approach: NDArray  # (K,) predicted change of distance along the normal [m]
     pressed: NDArray  # (K,) accumulated normal multiplier
     dragged: NDArray  # (K, 3) accumulated friction multiplier
@@ -181,9 +182,10 @@ def _left_apart(apart, quads, n, kind, both):
 
 
 @kernel
-def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contacts):
-    """Closest points at the start of a substep: separation (C, 4) = normal and distance, -1 where contact is off.
+def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, separation, contacts):
+    """Closest points at the start of a substep: separation (C, 4) = normal and distance, -1 where nothing is certified.
 
+    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise.
     Pairs that would be nearer than 1.25 thicknesses at the predicted positions p become active contacts. Returns how
     many are active; as many as fit are written to `contacts`.
     """
@@ -191,7 +193,8 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contac
     capacity = contacts.quads.shape[0]
     for n in range(count):
         separation[n, 3] = -1.0
-        if _left_apart(apart, quads, n, kinds[n], both):
+        beside = _left_apart(apart, quads, n, kinds[n], both)
+        if beside and yield_force == 0.0:
             continue
         w0, w1, w2, w3 = _weights(x, quads, n, kinds[n])
         nx = _combine(x, quads, n, w0, w1, w2, w3, 0)
@@ -206,7 +209,8 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contac
         separation[n, 0] = nx
         separation[n, 1] = ny
         separation[n, 2] = nz
-        separation[n, 3] = distance
+        if not beside:
+            separation[n, 3] = distance
         h = min(thickness[quads[n, 0]], thickness[quads[n, 1]], thickness[quads[n, 2]], thickness[quads[n, 3]])
         predicted = nx * _combine(p, quads, n, w0, w1, w2, w3, 0)
         predicted += ny * _combine(p, quads, n, w0, w1, w2, w3, 1)
@@ -224,6 +228,7 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contac
             contacts.normals[active, 1] = ny
             contacts.normals[active, 2] = nz
             contacts.rest[active] = h
+            contacts.limit[active] = yield_force if beside else math.inf
             contacts.approach[active] = predicted - distance
             contacts.pressed[active] = 0.0
             contacts.dragged[active, 0] = 0.0
@@ -234,7 +239,7 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, separation, contac
 
 
 @device
-def _project_contacts(x, p, inverse_masses, contacts, count, friction):
+def _project_contacts(x, p, inverse_masses, contacts, count, friction, dt):
     """One Gauss-Seidel sweep: keep the thickness along the normal, Coulomb friction across it; momentum is kept."""
     for n in range(count):
         q = contacts.quads[n]
@@ -248,7 +253,7 @@ def _project_contacts(x, p, inverse_masses, contacts, count, friction):
         if mobility == 0.0:
             continue
         before = contacts.pressed[n]
-        after = max(0.0, before - gap / mobility)
+        after = min(max(0.0, before - gap / mobility), contacts.limit[n] * dt * dt)
         contacts.pressed[n] = after
         push = after - before
         if push != 0.0:
@@ -298,7 +303,7 @@ def solve(x, p, cloth, contacts, count, friction, radii, motion, ground, grips, 
         if with_springs:
             project_springs(p, cloth, motion.dt, multipliers)
         hold_grips(p, cloth.inverse_masses, grips, motion.dt, (substep + 1) * motion.dt)
-        _project_contacts(x, p, cloth.inverse_masses, contacts, count, friction)
+        _project_contacts(x, p, cloth.inverse_masses, contacts, count, friction, motion.dt)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
     for a in range(grips.vertices.shape[0]):
         for c in range(3):

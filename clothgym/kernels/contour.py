@@ -322,7 +322,7 @@ def edge_direction_sum(x, faces, edges, edge_face_start, edge_face_ids, edge, nx
         mx, my, mz, _ = triangle_normal(x, faces[b, 0], faces[b, 1], faces[b, 2])
         rx, ry, rz = cross(nx, ny, nz, mx, my, mz)
         size = length(rx, ry, rz)
-        if size < 1e-8:  # coplanar: no direction of its own
+        if size < 1e-15:  # coplanar: no direction of its own
             continue
         o = faces[b, 0]
         if o == e0 or o == e1:

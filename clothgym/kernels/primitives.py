@@ -41,6 +41,35 @@ def closest_on_triangle(x, v, a, b, c):
     apx = x[v, 0] - x[a, 0]
     apy = x[v, 1] - x[a, 1]
     apz = x[v, 2] - x[a, 2]
+    ux = aby * acz - abz * acy
+    uy = abz * acx - abx * acz
+    uz = abx * acy - aby * acx
+    ab2 = abx * abx + aby * aby + abz * abz
+    ac2 = acx * acx + acy * acy + acz * acz
+    if ux * ux + uy * uy + uz * uz <= 1e-24 * max(ab2, ac2) ** 2:  # a sliver: nearest of its three sides
+        best = math.inf
+        r0, r1, r2 = 1.0, 0.0, 0.0
+        for k in range(3):
+            p = a if k == 0 else (b if k == 1 else c)
+            q = b if k == 0 else (c if k == 1 else a)
+            ex = x[q, 0] - x[p, 0]
+            ey = x[q, 1] - x[p, 1]
+            ez = x[q, 2] - x[p, 2]
+            fx = x[v, 0] - x[p, 0]
+            fy = x[v, 1] - x[p, 1]
+            fz = x[v, 2] - x[p, 2]
+            ee = ex * ex + ey * ey + ez * ez
+            t = min(max((ex * fx + ey * fy + ez * fz) / ee, 0.0), 1.0) if ee > 0.0 else 0.0
+            gx = fx - t * ex
+            gy = fy - t * ey
+            gz = fz - t * ez
+            gap = gx * gx + gy * gy + gz * gz
+            if gap < best:
+                best = gap
+                r0 = 1.0 - t if k == 0 else (0.0 if k == 1 else t)
+                r1 = t if k == 0 else (1.0 - t if k == 1 else 0.0)
+                r2 = 0.0 if k == 0 else (t if k == 1 else 1.0 - t)
+        return r0, r1, r2
     d1 = abx * apx + aby * apy + abz * apz
     d2 = acx * apx + acy * apy + acz * apz
     if d1 <= 0.0 and d2 <= 0.0:
@@ -111,6 +140,37 @@ def closest_on_edges(x, a0, a1, b0, b1):
     elif t > 1.0:
         t = 1.0
         s = min(max((b - c) / a, 0.0), 1.0)
+    if denominator <= 1e-6 * a * e:  # nearly parallel: a, b, e say little about s; one of these five is the nearest
+        nx = uy * vz - uz * vy
+        ny = uz * vx - ux * vz
+        nz = ux * vy - uy * vx
+        nn = nx * nx + ny * ny + nz * nz
+        best = math.inf
+        bs = s
+        bt = t
+        for k in range(5):
+            if k == 0:
+                if nn == 0.0:
+                    continue
+                s = ((vy * rz - vz * ry) * nx + (vz * rx - vx * rz) * ny + (vx * ry - vy * rx) * nz) / nn
+                t = ((uy * rz - uz * ry) * nx + (uz * rx - ux * rz) * ny + (ux * ry - uy * rx) * nz) / nn
+                s = min(max(s, 0.0), 1.0)
+                t = min(max(t, 0.0), 1.0)
+            elif k < 3:
+                s = float(k - 1)
+                t = min(max((s * b + f) / e, 0.0), 1.0)
+            else:
+                t = float(k - 3)
+                s = min(max((t * b - c) / a, 0.0), 1.0)
+            gx = rx + s * ux - t * vx
+            gy = ry + s * uy - t * vy
+            gz = rz + s * uz - t * vz
+            gap = gx * gx + gy * gy + gz * gz
+            if gap < best:
+                best = gap
+                bs = s
+                bt = t
+        return bs, bt
     return s, t
 
 

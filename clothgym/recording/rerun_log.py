@@ -17,7 +17,7 @@ Timelines: `step` (sequence) and `sim_time` (duration). Step 0 is the state afte
 to the state at step k.
 
 Safe against a kill: actions go to disk at once, everything else in batches of at most `batch_steps` steps, 4 MB or
-half a second, whichever comes first. A file without its `end` document was cut short, and readers say so.
+a second, whichever comes first. A file without its `end` document was cut short, and readers say so.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from clothgym.kernels import raster
 from clothgym.recording.rerun_read import FORMAT, FORMAT_VERSION, column_checksum, import_rerun, start_viewer
 
 _BATCH_BYTES = 4_000_000
-_BATCH_SECONDS = 0.5
+_BATCH_SECONDS = 1.0
 _CLOTH_COLOURS = ((86, 150, 214), (226, 148, 76), (108, 182, 112), (190, 124, 200), (214, 202, 96), (112, 196, 200))
 _CONTOUR_COLOURS = np.array(
     [(235, 52, 52), (255, 190, 30), (60, 220, 90), (70, 160, 255), (230, 90, 230), (40, 225, 225), (255, 120, 40)],
@@ -95,7 +95,7 @@ class RerunLog:
         port: the live viewer's port.
 
     Raises:
-        ValueError: neither path nor viewer, a path that does not end in .rrd or cannot be written.
+        ValueError: neither path nor viewer, a path that does not end in .rrd or cannot be written, RERUN=off.
         MissingExtraError: rerun-sdk is not installed.
     """
 
@@ -128,6 +128,8 @@ class RerunLog:
         self._stream = self._rerun.RecordingStream(
             application, recording_id=recording_id or uuid.uuid4().hex, send_properties=False
         )
+        if not self._rerun.is_enabled(self._stream):
+            raise ValueError("RERUN=off stands in the environment: nothing would be recorded")
         self._opened = False
         self._closed = False
         self._cloths: list[tuple[str, slice, NDArray[np.int32]]] = []
@@ -201,10 +203,12 @@ class RerunLog:
             (name, faces[face_rows] - rows.start, None, slice(rows.start, rows.stop))
             for name, rows, face_rows in simulation.cloth_ranges
         ]
-        bodies = list(getattr(simulation, "body_meshes", ()))
-        everything = np.concatenate([positions, *(np.asarray(v) for _, v, _ in bodies)])
+        bodies: list[tuple[str, ArrayLike, ArrayLike]] = list(getattr(simulation, "body_meshes", ()))
         ground = getattr(getattr(simulation, "scene", None), "ground", None)
-        self.open(cloths, bodies, ground, (everything.min(axis=0), everything.max(axis=0)))
+        everything = np.concatenate([positions, *(np.asarray(v) for _, v, _ in bodies)])
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        low[1] = low[1] if ground is None else min(low[1], ground)
+        self.open(cloths, bodies, ground, (low, high))
 
     def log_document(self, name: str, document: Mapping[str, Any]) -> None:
         """A static JSON document at clothgym/<name>."""
@@ -457,9 +461,9 @@ class RerunLog:
         """Sizes and colours that never change, once per entity."""
         rr = self._rerun
         if "segments" in fields:
-            self._log_static(entity, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(2.5)))
+            self._log_static(entity, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0)))
         elif entity == "world/hits":
-            style = rr.Points3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=(255, 255, 255))
+            style = rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=(255, 255, 255))
             self._log_static(entity, style)
         elif "points" in fields:
             self._log_static(entity, rr.Points3D.from_fields(radii=0.01, colors=(255, 220, 60)))
@@ -526,19 +530,20 @@ def blueprint(bounds: tuple[ArrayLike, ArrayLike] | None = None) -> Any:
         eye = rrb.EyeControls3D(
             position=middle + size * np.array([0.55, 0.45, 1.0]), look_target=middle, eye_up=(0.0, 1.0, 0.0)
         )
-    plots = {
-        "contour length [m]": ["metrics/contour_length"],
-        "reward": ["metrics/reward", "metrics/reward/**"],
-        "largest strain": ["metrics/max_strain"],
-        "progress": ["metrics/progress", "metrics/is_success"],
-    }
-    rest = {
-        "everything": ["metrics/**"],
-        "force [N]": ["metrics/force_max"],
-        "penetration [m]": ["metrics/penetration_depth"],
-    }
-    views = [rrb.TimeSeriesView(name=name, origin="/", contents=paths) for name, paths in plots.items()]
-    others: list[Any] = [rrb.TimeSeriesView(name=name, origin="/", contents=paths) for name, paths in rest.items()]
+    left, right = rrb.Corner2D.LeftTop, rrb.Corner2D.RightTop
+    plots = [
+        ("contour length [m]", right, ["metrics/contour_length"]),
+        ("reward", left, ["metrics/reward", "metrics/reward/**"]),
+        ("largest strain", right, ["metrics/max_strain"]),
+        ("progress", left, ["metrics/progress", "metrics/is_success"]),
+        ("everything", right, ["metrics/**"]),
+        ("force [N]", right, ["metrics/force_max"]),
+        ("penetration [m]", right, ["metrics/penetration_depth"]),
+    ]
+    series: list[Any] = [
+        rrb.TimeSeriesView(name=name, origin="/", contents=paths, plot_legend=corner) for name, corner, paths in plots
+    ]
+    views, others = series[:4], series[4:]
     others.append(rrb.TextDocumentView(name="episode", origin="clothgym/episode"))
     scene = rrb.Spatial3DView(name="scene", origin="world", eye_controls=eye)
     side = rrb.Vertical(*views, rrb.Tabs(*others))

@@ -98,10 +98,13 @@ class ContactBuffers:
             np.zeros(capacity),
             np.zeros(capacity),
             np.zeros(capacity),
+            np.zeros(capacity),
             np.zeros((capacity, 3)),
         )
 
-    def narrow(self, x: FloatArray, p: FloatArray, candidates: Candidates, apart: BoolArray, both: bool) -> None:
+    def narrow(
+        self, x: FloatArray, p: FloatArray, candidates: Candidates, apart: BoolArray, both: bool, yield_force: float
+    ) -> None:
         """Closest points of all candidates at x, and which of them are active on the way to p."""
         while True:
             active = kernels.narrow(
@@ -113,6 +116,7 @@ class ContactBuffers:
                 candidates.model.thickness,
                 apart,
                 both,
+                yield_force,
                 candidates.separation,
                 self.arrays,
             )

@@ -87,8 +87,8 @@ def load(name: str) -> Body:
 def torso(body: Body, edge_length: float = 0.022) -> Mesh:
     """The trunk as an open tube with four borders (neck, two armholes, hip), remeshed evenly; arrays are read-only.
 
-    It is cut where neck and head have half of the weight, where the arms have most of it, and level with the middle of the
-    pelvis bone, above the legs.
+    It is cut where neck and head have half of the weight, where the arms have most of it, and level with the middle of
+    the pelvis bone, above the legs.
 
     Args:
         body: from `load`.
@@ -103,7 +103,9 @@ def torso(body: Body, edge_length: float = 0.022) -> Mesh:
     pelvis = body.bone("pelvis")
     hip = 0.5 * (body.head[pelvis, 1] + body.tail[pelvis, 1])
     vertices, faces = body.vertices, body.faces
-    fields = np.stack([_NECK_LEVEL - _smoothed(body, neck), _ARM_LEVEL - _smoothed(body, arms), vertices[:, 1] - hip], axis=1)
+    fields = np.column_stack(
+        [_NECK_LEVEL - _smoothed(body, neck), _ARM_LEVEL - _smoothed(body, arms), vertices[:, 1] - hip]
+    )
     for column in range(fields.shape[1]):
         vertices, faces, fields = _clip(vertices, faces, fields, column)
     vertices, faces = _largest_component(vertices, faces)
@@ -294,7 +296,8 @@ class _Remesher:
 
     def flip(self) -> None:
         """Turns inner edges where that brings the vertices closer to six neighbours (four on a border)."""
-        degree = {v: len(self._neighbours(v)) - (4 if self._on_border(v) else 6) for f in self.faces.values() for v in f}
+        live = {v for f in self.faces.values() for v in f}
+        excess = {v: len(self._neighbours(v)) - (4 if self._on_border(v) else 6) for v in live}
         for a, b in self._edges():
             shared = self._shared(a, b)
             if len(shared) != 2:
@@ -305,7 +308,7 @@ class _Remesher:
             c, d = sum(first) - a - b, sum(second) - a - b
             if c == d or d in self._neighbours(c):
                 continue
-            change = sum(abs(degree[v] + step) - abs(degree[v]) for v, step in ((a, -1), (b, -1), (c, 1), (d, 1)))
+            change = sum(abs(excess[v] + step) - abs(excess[v]) for v, step in ((a, -1), (b, -1), (c, 1), (d, 1)))
             if change >= 0:
                 continue
             old = self._normal(*first) + self._normal(*second)
@@ -317,11 +320,11 @@ class _Remesher:
                 self._remove(face)
             self._add(new)
             for v, step in ((a, -1), (b, -1), (c, 1), (d, 1)):
-                degree[v] += step
+                excess[v] += step
 
     def smooth(self) -> None:
-        """Moves inner vertices towards the mean of their neighbours and border vertices along the border, and all back onto
-        the original surface."""
+        """Moves inner vertices towards the mean of their neighbours and border vertices along the border, and all back
+        onto the original surface."""
         live = sorted({v for f in self.faces.values() for v in f})
         moved = {}
         for v in live:

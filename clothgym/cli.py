@@ -144,8 +144,9 @@ def _is_bad_input(error: BaseException) -> bool:
 
 def _described(error: BaseException) -> str:
     """The error as one line."""
-    if hasattr(error, "format_message"):  # usage errors of typer, whichever module they come from
-        return _one_line(error.format_message())
+    usage = getattr(error, "format_message", None)  # usage errors of typer, whichever module they come from
+    if usage is not None:
+        return _one_line(usage())
     if isinstance(error, ImportError) and (line := missing_extra_line(error)) is not None:
         return line
     if isinstance(error, json.JSONDecodeError):

@@ -308,15 +308,19 @@ class _ContactSubsteps:
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
         x, v, p = state.positions, state.velocities, frame.predicted
         motion = s.motion(frame)
-        base = 0
+        base, horizon = 0, s.substeps  # candidates hold for the substeps base .. base + horizon - 1
         for n in range(s.substeps):
             now = time.perf_counter()
             self._predict(frame, motion)
             now = frame.clock(f"{self.name}: predict", now)
-            left = s.substeps - base
-            if base < 0 or found.outdated(x, (n - base) / left) or found.outdated(p, (n + 1 - base) / left):
-                base, left = n, s.substeps - n
-                found.expect(x, left * (p - x))
+            done = n - base
+            late = done < horizon and (
+                found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon)
+            )
+            if late or done >= horizon:
+                # what changes its mind is looked at again soon, what kept its course for twice as long
+                base, horizon = n, 1 if late else min(2 * horizon, s.substeps - n)
+                found.expect(x, horizon * (p - x))
                 found.gather()
                 frame.count("rebuilds", 1)
                 now = frame.clock(f"{self.name}: find again", now)
@@ -328,14 +332,14 @@ class _ContactSubsteps:
                 s.ground, frame.grips, s.multipliers, n, not s.explicit,
             )  # fmt: skip
             now = frame.clock(f"{self.name}: solve", now)
-            share = (n + 1 - base) / left
+            share = (n + 1 - base) / horizon
             for _ in range(self._ATTEMPTS):
                 if found.outdated(p, share):
                     # something moved further than expected: look again around where everything really goes
                     found.expect(x, p - x)
                     found.gather()
                     self.contacts.narrow(x, p, found, self.apart, *self.near)
-                    base, share = n - s.substeps, 1.0
+                    base, horizon, share = n, 1, 1.0
                     frame.count("rebuilds", 1)
                     now = frame.clock(f"{self.name}: find again", now)
                 repaired, zoned = self.kernels.certify(

@@ -345,7 +345,7 @@ def test_run_is_the_simulation(say) -> None:
     assert document["state_hash"] == simulation.state_hash()
     assert document["simulated"] == simulation.time
     assert document["metrics"]["max_strain"] == simulation.metrics()["max_strain"]
-    assert set(document["profile"]) == {stage.name for stage in simulation.pipeline.stages}
+    assert set(document["profile"]) == set(simulation.profile) != set()
     assert "max strain" in say(*words[:-1]).out
 
 
@@ -364,7 +364,8 @@ def test_run_takes_files_and_writes_pictures(say, commands: Path) -> None:
     first = np.asarray(Image.open(commands / "out" / "pictures" / names[0]))
     assert first.shape == (480, 640, 3)
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
-    assert ((first[..., 0] > 180) & (first[..., 1] < 60)).any()  # the contour of the crossing sheets
+    last = np.asarray(Image.open(commands / "out" / "pictures" / names[-1]))
+    assert (first != last).any(axis=2).sum() > 500  # the sheets fall
 
 
 def test_run_records_and_keeps_the_recording_when_stopped(commands: Path) -> None:

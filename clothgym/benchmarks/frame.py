@@ -356,9 +356,9 @@ def _finished_rows(benchmark: Benchmark, heads: list[Row], jobs: int, backend: s
     import joblib
 
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)  # type: ignore[arg-type]
     calls = (joblib.delayed(run_case)(benchmark.run, benchmark.prepare, head, os.getpid()) for head in heads)
-    yield from parallel(calls)
+    yield from parallel(calls)  # type: ignore[misc]
 
 
 def run_benchmark(

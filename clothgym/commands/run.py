@@ -195,37 +195,22 @@ def _scalars(simulation: Any) -> dict[str, float]:
 
 @contextlib.contextmanager
 def _pictures(simulation: Any, folder: Path | None) -> Iterator[Any]:
-    """Yields `draw(step)`, which writes `frame_00000.png` and so on: cloth, bodies, ground and contours."""
+    """Yields `draw(step)`, which writes `frame_00000.png` and so on."""
     if folder is None:
         yield lambda step: None
         return
-    from clothgym.recording import frames
+    from clothgym.recording.frames import Camera, save_png
+    from clothgym.recording.pictures import draw
 
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"--frames = {str(folder)!r}: not a folder")
     folder.mkdir(parents=True, exist_ok=True)
-    scene = simulation.scene
-    camera = frames.Camera.framing(_view(simulation), aspect=4 / 3)
-    colours = frames.palette(len(scene.cloths))
-    cloth_faces, colour_of_face, offset = [], [], 0
-    for cloth, colour in zip(scene.cloths, colours):
-        cloth_faces.append(np.asarray(cloth.mesh.faces) + offset)
-        colour_of_face.append(np.tile(np.asarray(colour), (len(cloth.mesh.faces), 1)))
-        offset += len(cloth.mesh.vertices)
-    faces, face_colours = np.concatenate(cloth_faces), np.concatenate(colour_of_face)
+    camera = Camera.framing(_view(simulation), aspect=4 / 3)
 
-    def draw(step: int) -> None:
-        bodies = [
-            frames.Drawable(vertices, body_faces, (0.70, 0.64, 0.60))
-            for _, vertices, body_faces in getattr(simulation, "body_meshes", ())
-        ]
-        cloth = frames.Drawable(simulation.positions, faces, face_colours, 0.85 * face_colours)
-        hits = getattr(simulation, "last_intersections", None)
-        lines = [] if hits is None else [frames.Lines(hits.segments, on_top=True)]
-        image = frames.render([cloth, *bodies], camera, 640, 480, lines, ground=scene.ground, antialias=2)
-        frames.save_png(folder / f"frame_{step:05d}.png", image)
+    def write(step: int) -> None:
+        save_png(folder / f"frame_{step:05d}.png", draw(simulation, camera, 640, 480, antialias=2))
 
-    yield draw
+    yield write
 
 
 def _view(simulation: Any) -> np.ndarray:

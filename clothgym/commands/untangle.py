@@ -176,7 +176,7 @@ def read_mesh(source: Path, target: Path | None) -> tuple[FloatArray, IntArray, 
     def encode(moved: FloatArray) -> bytes:
         mesh.vertices = moved
         options = {"digits": 17} if target_ending == "obj" else {}
-        content = mesh.export(file_type=target_ending, **options)
+        content: Any = mesh.export(file_type=target_ending, **options)  # type: ignore[arg-type]
         return content.encode("utf-8") if isinstance(content, str) else content
 
     return points, triangles, encode

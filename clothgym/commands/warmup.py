@@ -135,6 +135,13 @@ def _wind_and_grips() -> None:
     simulation.step()
 
 
+def _sides() -> None:
+    from clothgym.detection.sides import signed_sides
+
+    vertices, faces = _crossing_sheets()
+    signed_sides(vertices[::3] + 0.01, vertices, faces)
+
+
 def _pictures() -> None:
     from clothgym.recording import frames
 
@@ -151,6 +158,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "sheet": _sheet,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
+    "sides": _sides,
     "pictures": _pictures,
 }
 """Every feature on a tiny input, in this order."""

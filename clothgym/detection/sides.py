@@ -39,8 +39,8 @@ def signed_sides(x: ArrayLike, vertices: ArrayLike, faces: Any) -> tuple[FloatAr
         faces: (F, 3) vertex ids, consistently oriented, or a `Surface` (quicker when it is used again).
 
     Returns:
-        signs (P,): +1 = on the side of the normals (faces run counter-clockwise seen from there), -1 = behind, 0 = neutral:
-        the closest point lies on the border of the surface, or the point on the surface; and distances (P,) [m].
+        signs (P,): +1 = on the side of the normals (faces run counter-clockwise seen from there), -1 = behind, 0 =
+        neutral: the closest point lies on the border of the surface, or the point on the surface; distances (P,) [m].
 
     Raises:
         ValueError: names the offending index, or a surface without faces.
@@ -72,10 +72,13 @@ class Sides:
             self._surfaces.append(surface)
 
     def signs(self, positions: FloatArray) -> FloatArray:
-        """(P,) signs of the first part's vertices against the second's surface, then the other way round, as `signed_sides`.
+        """(P,) signs of the first part's vertices against the second's surface, then the other way round.
 
         Args:
             positions: (V, 3) of the whole scene [m].
+
+        Returns:
+            +1, -1 or 0, as `signed_sides`.
         """
         one, two = positions[self.first], positions[self.second]
         against_second, _ = _signs(np.concatenate([two, one]), len(two), self._surfaces[1])
@@ -102,8 +105,8 @@ class Sides:
 
 
 def side_error(positions: FloatArray, faces: ArrayLike, first: slice, second: slice, required: ArrayLike) -> float:
-    """Share of the vertices of two parts that are on the wrong side of the other part; see `Sides`, which is quicker when
-    the question is asked again."""
+    """Share of the vertices of two parts that are on the wrong side of the other part; `Sides.error` is quicker when the
+    question is asked again."""
     return Sides(faces, first, second).error(as_points(positions, "positions"), required)
 
 

@@ -1,4 +1,4 @@
-"""Closest points on a surface, and on which side of it a point lies, decided by angle-weighted normals [Baerentzen 2005]."""
+"""Closest points on a surface, and on which side of it a point lies, by angle-weighted normals [Baerentzen 2005]."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _closest_on_face(x, v, faces, f):
 
 @kernel
 def closest_faces(x, first, faces, boxes, blocks, face, weights, distance):
-    """Face, barycentric weights and distance [m] of the point of the surface closest to each vertex first, first + 1, ... of x.
+    """Closest point of a surface to each vertex first, first + 1, ... of x: face, barycentric weights, distance [m].
 
     The surface has at least one face. The face of one point is the first guess for the next.
     """
@@ -80,8 +80,8 @@ def closest_faces(x, first, faces, boxes, blocks, face, weights, distance):
 
 @kernel
 def vertex_frames(x, faces, edges, edge_face_start, normals, border):
-    """Fills normals (V, 3), the sum of the face normals around each vertex weighted by their angles (not unit), and border
-    (V,): whether the vertex lies on an edge with one face."""
+    """Fills normals (V, 3), the sum of the face normals around each vertex weighted by their angles (not unit), and
+    border (V,): whether the vertex lies on an edge with one face."""
     normals[:] = 0.0
     border[:] = False
     for e in range(len(edges)):
@@ -104,11 +104,11 @@ def vertex_frames(x, faces, edges, edge_face_start, normals, border):
 
 @kernel
 def side_signs(x, first, surface, normals, border, face, weights, signs):
-    """Fills signs (P,): +1 on the side that the normal of the closest point shows to, -1 behind, 0 where the closest point
-    lies on a border or the point on the surface."""
+    """Fills signs (P,): +1 on the side that the normal of the closest point shows to, -1 behind, 0 where the closest
+    point lies on a border or the point on the surface."""
     for p in range(len(signs)):
         v, f = first + p, face[p]
-        zeros, lone, missing = 0, 0, 0  # corners without weight; the corner that has it all; the corner opposite an edge
+        zeros, lone, missing = 0, 0, 0  # corners without weight; the one that has it all; the one opposite an edge
         for corner in range(3):
             if weights[p, corner] == 0.0:
                 zeros += 1

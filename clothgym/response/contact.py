@@ -18,6 +18,10 @@ _ERRATIC = 0.5
 """Slack of a vertex as a share of its expected travel: fast vertices are the ones that change their mind."""
 
 
+_LEEWAY = 1.0
+"""And in thicknesses, for what contact and springs move a vertex within a substep."""
+
+
 class Candidates:
     """Pairs of primitives that may touch within a step.
 
@@ -48,7 +52,7 @@ class Candidates:
         thickness = float(self.model.thickness.max())
         np.sqrt(np.einsum("ij,ij->i", travel, travel), out=self.slack)
         self.slack *= _ERRATIC
-        self.slack += 0.25 * thickness
+        self.slack += _LEEWAY * thickness
         end, pads = self.start + self.travel, self.slack + 0.5 * thickness
         kdop.vertex_intervals(self.start, end, kdop.AXES[6], np.ones(3), pads, self.sweeps)
         self.tree.refit(self.start, end, pads)

@@ -41,7 +41,8 @@ class UntangleLayersEnv(ClothEnv):
     through each other by their weight, but can be pulled apart.
 
     Reward: 10 x decrease of clip(L / L0, 0, 1); - 0.02 |a|^2; - 0.1 clip(strain - 0.15, 0, 1); at the end + 5 for success and
-    - 5 x side error. Success: no hits for 10 steps, at most 1 % of the vertices on the wrong side of another sheet.
+    - 5 x side error. Success: no hits and strain at most 0.15 for 10 steps, at
+    most 1 % of the vertices of any two sheets on the wrong side of the other.
 
     Args:
         level: "easy" 2, "medium" 3, "hard" 5 sheets.
@@ -177,7 +178,8 @@ class UntangleLayersEnv(ClothEnv):
         hits = self.simulation.last_intersections
         before, now = self._length_share, min(hits.length / self._start_length, 1.0)
         self._length_share = now
-        self._clean_count = self._clean_count + 1 if hits.hit_count == 0 else 0
+        clean = hits.hit_count == 0 and self._strain() <= _STRAIN_FREE  # pinched to a point is not untangled
+        self._clean_count = self._clean_count + 1 if clean else 0
         errors = self._side_errors()
         self._pair_errors = errors
         self._side_error = float(errors.max(initial=0.0))
@@ -239,7 +241,7 @@ class UntangleLayersEnv(ClothEnv):
         return values
 
     def longest_contours(self) -> list[dict[str, Any]]:
-        """Up to six longest contours: length [m], centroid [m], unit direction in which the upper sheet has to move so that
+        """Up to six longest contours: length [m], centroid [m], points of its hits [m], unit direction in which the upper sheet has to move so that
         the contour shortens most, closed, self, hits, upper and lower sheet."""
         hits = self.simulation.last_intersections
         if hits.hit_count == 0:
@@ -263,6 +265,7 @@ class UntangleLayersEnv(ClothEnv):
                 {
                     "length": float(hits.contour_lengths[c]),
                     "centroid": hits.points[members].mean(axis=0),
+                    "points": hits.points[members],
                     "direction": direction / size if size > 1e-9 else np.zeros(3),
                     "closed": kind.closed,
                     "self": kind.self_contour,

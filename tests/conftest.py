@@ -1,0 +1,21 @@
+"""Fixtures that several test files share."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture
+def substeps(monkeypatch):
+    """A list that collects (x, p), where every substep with contact starts and ends, while a simulation runs."""
+    from clothgym.kernels import integrate
+
+    recorded = []
+    finish = integrate.finish
+
+    def recording(x, v, p, dt):
+        recorded.append((x.copy(), p.copy()))
+        finish(x, v, p, dt)
+
+    monkeypatch.setattr(integrate, "finish", recording)
+    return recorded

@@ -54,7 +54,7 @@ class Fidelity:
     arity: int = 4
     repair_rounds: int = 8
     untangling: str = "hybrid"
-    untangling_passes: int = 1
+    untangling_passes: int = 3
     h0: float = 1.0
     g0: float = 1.0
     velocity_share: float = 1.0

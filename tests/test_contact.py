@@ -310,7 +310,7 @@ def test_no_substep_of_a_violent_run_crosses(substeps, seed):
 @pytest.mark.parametrize("pinned", [(), (0,)])
 def test_a_sheet_shot_at_another_does_not_pass_through(substeps, integrator, pinned):
     """At 50 m/s the way of one step, 83 cm, is 400 thicknesses; the sheets are 10 cm apart."""
-    scene = stack(2, 4, gap=0.1, pinned=pinned, stretch=300.0, shear=100.0, thickness=2e-3)
+    scene = stack(2, 3, gap=0.1, pinned=pinned, stretch=100.0, shear=30.0, thickness=2e-3)
     fidelity = dataclasses.replace(CONTACT_ONLY, integrator=integrator, substeps=0 if integrator != "xpbd" else 2)
     sim = cg.Simulation(scene, fidelity)
     both = naive.all_quads(sim.model.faces)
@@ -318,13 +318,13 @@ def test_a_sheet_shot_at_another_does_not_pass_through(substeps, integrator, pin
     velocities = np.zeros_like(scene.start)
     velocities[~lower, 1] = -50.0
     sim.set_velocities(velocities)
-    for number in range(4):
+    for _ in range(3):
         sim.step()
         assert cg.intersections(sim.positions, sim.model.surface).hit_count == 0
-        if number < 2:  # later the pinned sheet may slip off like a flag
-            assert (sim.positions[~lower, 1] > sim.positions[lower, 1]).all()
+        if not pinned:
+            assert sim.positions[~lower, 1].mean() > sim.positions[lower, 1].mean()
     assert sim.metrics()["work"]["contacts"] > 0
-    for x, p in substeps[:: max(1, len(substeps) // 24)]:
+    for x, p in substeps:  # no crossing on any straight way is the proof, at every substep
         assert naive.collisions(x, p, sim.model.faces, quads=both) == []
 
 

@@ -105,8 +105,8 @@ class Sides:
 
 
 def side_error(positions: FloatArray, faces: ArrayLike, first: slice, second: slice, required: ArrayLike) -> float:
-    """Share of the vertices of two parts that are on the wrong side of the other part; `Sides.error` is quicker when the
-    question is asked again."""
+    """Share of the vertices of two parts that are on the wrong side of the other part; `Sides.error` is quicker when
+    the question is asked again."""
     return Sides(faces, first, second).error(as_points(positions, "positions"), required)
 
 

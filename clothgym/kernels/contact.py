@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
 from clothgym.kernels.integrate import hold_grips, keep_above_ground
-from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle, edge_edge_distance, vertex_triangle_distance
+from clothgym.kernels.primitives import (
+    closest_on_edges,
+    closest_on_triangle,
+    edge_edge_distance,
+    vertex_triangle_distance,
+)
 from clothgym.kernels.springs import project_springs
 
 _ACTIVE = 1.25

@@ -15,8 +15,17 @@ from clothgym._jit import device, kernel
 from clothgym.kernels.springs import ClothArrays, add_spring_forces, project_springs
 from clothgym.kernels.velocity_modification import modify_velocities
 
-__all__ = ["ClothArrays", "Ground", "Grips", "Motion", "euler_predict", "euler_substeps", "finish", "xpbd_predict",
-           "xpbd_substeps"]
+__all__ = [
+    "ClothArrays",
+    "Grips",
+    "Ground",
+    "Motion",
+    "euler_predict",
+    "euler_substeps",
+    "finish",
+    "xpbd_predict",
+    "xpbd_substeps",
+]
 
 
 class Motion(NamedTuple):

@@ -13,7 +13,6 @@ from clothgym.kernels.contact import Contacts
 from clothgym.mesh import SurfaceArrays
 from clothgym.model import ClothModel
 
-
 _ERRATIC = 0.5
 """Slack of a vertex as a share of its expected travel: fast vertices are the ones that change their mind."""
 

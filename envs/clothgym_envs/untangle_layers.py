@@ -241,8 +241,8 @@ class UntangleLayersEnv(ClothEnv):
         return values
 
     def longest_contours(self) -> list[dict[str, Any]]:
-        """Up to six longest contours: length [m], centroid [m], points of its hits [m], unit direction in which the upper sheet has to move so that
-        the contour shortens most, closed, self, hits, upper and lower sheet."""
+        """Up to six longest contours: length [m], centroid [m], points of its hits [m], unit direction in which the upper
+        sheet has to move so that the contour shortens most, closed, self, hits, upper and lower sheet."""
         hits = self.simulation.last_intersections
         if hits.hit_count == 0:
             return []

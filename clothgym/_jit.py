@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numba
-import numba.core.config as _numba_config
+from numba.core import config
+
+_numba_config: Any = config
 
 _KEPT_DIGESTS = 4
 """Caches of this many source versions are kept, so that switching between branches stays warm."""
@@ -78,7 +80,7 @@ kernels: list[Any] = []
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles a function on bare arrays at its first call and keeps the machine code on disk."""
     previous = _numba_config.CACHE_DIR
-    _numba_config.CACHE_DIR = str(cache_folder)
+    _numba_config.CACHE_DIR = str(cache_folder)  # read by numba when the decorator runs
     try:
         compiled = numba.njit(cache=True, **flags)(function)
     finally:

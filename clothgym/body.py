@@ -334,8 +334,8 @@ class _Remesher:
                 before, after = (self.points[u] for u in around if len(self._shared(u, v)) == 1)
                 moved[v] = 0.5 * (p + 0.5 * (before + after))
                 continue
-            step = sum(self.points[u] for u in around) / len(around) - p
-            normal = sum(self._normal(*self.faces[f]) for f in sorted(self.around[v]))
+            step = np.mean([self.points[u] for u in around], axis=0) - p
+            normal = np.sum([self._normal(*self.faces[f]) for f in sorted(self.around[v])], axis=0)
             moved[v] = p + 0.7 * (step - (step @ normal) / (normal @ normal) * normal)
         on_border = np.array([self._on_border(v) for v in live])
         places = np.asarray([moved[v] for v in live])

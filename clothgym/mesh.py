@@ -176,7 +176,7 @@ def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(V,) a third of the area of all faces at each vertex [m^2]."""
     shares = np.repeat(face_areas(vertices, faces) / 3.0, 3)
-    return np.bincount(faces.ravel(), shares, minlength=len(vertices))
+    return np.bincount(faces.ravel(), shares, minlength=len(vertices)).astype(np.float64)
 
 
 def smallest_altitudes(vertices: FloatArray, faces: IntArray) -> FloatArray:

@@ -31,7 +31,8 @@ class ClothModel:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         vertices, faces, masses, ends, rest, stiffness, kinds, thickness, friction, damping = ([] for _ in range(10))
-        ranges, offset, face_offset, pinned = [], 0, 0, []
+        ranges, offset, face_offset = [], 0, 0
+        pinned: list[int] = []
         for cloth in scene.cloths:
             material = materials.get(cloth.material)
             count = len(cloth.mesh.vertices)

@@ -104,7 +104,9 @@ class Pipeline:
 
 
 class _Wind:
-    name, reads, writes = "wind", ("positions", "velocities"), ("external",)
+    name = "wind"
+    reads: tuple[str, ...] = ("positions", "velocities")
+    writes: tuple[str, ...] = ("external",)
 
     def __init__(self, model: ClothModel) -> None:
         from clothgym.kernels.wind import wind_acceleration
@@ -151,7 +153,8 @@ class _Step:
 class _Integrate:
     """All substeps in one kernel: nothing but springs, grips and ground can act."""
 
-    reads, writes = ("positions", "velocities"), ("positions", "velocities")
+    reads: tuple[str, ...] = ("positions", "velocities")
+    writes: tuple[str, ...] = ("positions", "velocities")
 
     def __init__(self, step: _Step, windy: bool) -> None:
         self.step = step
@@ -173,7 +176,9 @@ class _Integrate:
 class _FacePairs:
     """Pairs of faces whose boxes, swept along the expected motion of the step, overlap."""
 
-    name, reads, writes = "face pairs", ("positions", "velocities"), ("face_pairs",)
+    name = "face pairs"
+    reads: tuple[str, ...] = ("positions", "velocities")
+    writes: tuple[str, ...] = ("face_pairs",)
 
     def __init__(self, candidates: Any, scene_step: float, gravity: FloatArray) -> None:
         self.candidates, self.step, self.gravity = candidates, scene_step, gravity
@@ -193,8 +198,8 @@ class _Untangle:
     Memoryless: everything follows from the current positions.
     """
 
-    reads = ("positions", "velocities", "face_pairs")
-    writes = ("positions", "velocities", "face_pairs", "apart")
+    reads: tuple[str, ...] = ("positions", "velocities", "face_pairs")
+    writes: tuple[str, ...] = ("positions", "velocities", "face_pairs", "apart")
 
     def __init__(self, candidates: Any, model: ClothModel, fidelity: Fidelity, pairs: _FacePairs, apart: Any) -> None:
         from clothgym.detection.intersections import Intersections
@@ -263,7 +268,9 @@ class _Untangle:
 
 
 class _PrimitivePairs:
-    name, reads, writes = "primitive pairs", ("positions", "face_pairs"), ("quads",)
+    name = "primitive pairs"
+    reads: tuple[str, ...] = ("positions", "face_pairs")
+    writes: tuple[str, ...] = ("quads",)
 
     def __init__(self, candidates: Any) -> None:
         self.candidates = candidates
@@ -276,7 +283,8 @@ class _PrimitivePairs:
 class _ContactSubsteps:
     """Substeps with contact: predict, closest points, sweeps with contact last, certificate, new velocities."""
 
-    reads, writes = ("positions", "velocities", "quads", "apart"), ("positions", "velocities")
+    reads: tuple[str, ...] = ("positions", "velocities", "quads", "apart")
+    writes: tuple[str, ...] = ("positions", "velocities")
     parts = ("predict", "find again", "closest points", "solve", "certify", "advance")
     _ATTEMPTS = 4
 

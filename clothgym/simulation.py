@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -254,13 +253,13 @@ class Simulation:
 
     def place_grip(self, grip: int, position: ArrayLike) -> None:
         """Puts a gripper somewhere [m]; what it holds goes along at the next step, by its anchor."""
-        self._state.grip_positions[self._grip(grip)] = as_points([position], "position")[0]
+        self._state.grip_positions[self._grip(grip)] = as_points(np.atleast_2d(position), "position", 1)[0]
 
     def move_grip(self, grip: int, velocity: ArrayLike) -> None:
         """Velocity [m/s] of a gripper from the next step on."""
-        self._state.grip_velocities[self._grip(grip)] = as_points([velocity], "velocity")[0]
+        self._state.grip_velocities[self._grip(grip)] = as_points(np.atleast_2d(velocity), "velocity", 1)[0]
 
-    def grasp(self, grip: int, vertices: Sequence[int] | IntArray | None = None) -> int:
+    def grasp(self, grip: int, vertices: ArrayLike | None = None) -> int:
         """Closes a gripper on the given vertices, or on all within its radius; returns how many it holds now."""
         grip = self._grip(grip)
         centre = self._state.grip_positions[grip]

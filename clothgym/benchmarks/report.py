@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class Table:
 
         table = rich.table.Table(box=rich.box.SIMPLE_HEAD)
         for index, column in enumerate(self.columns):
-            justify = "right" if _is_numeric_column(self.rows, index) else "left"
+            justify: Literal["left", "right"] = "right" if _is_numeric_column(self.rows, index) else "left"
             table.add_column(rich.text.Text(column), justify=justify, overflow="fold")
         for row in self.rows:
             table.add_row(*(rich.text.Text(format_value(cell)) for cell in row))
@@ -77,7 +77,7 @@ def format_value(value: Any) -> str:
     if isinstance(value, int | np.integer):
         return str(int(value))
     if isinstance(value, float | np.floating):
-        size = abs(value)
+        size = abs(float(value))
         if value == 0 or not math.isfinite(value):
             return f"{value:g}"
         if size >= 1e7 or size < 1e-4:

@@ -154,7 +154,7 @@ def _compare(path_a: Path, path_b: Path, as_json: bool) -> None:
     if changed:
         raise ValueError(f"bench compare: key = {changed[0]!r} has other parameters in {path_b} than in {path_a}")
 
-    cells = []
+    cells: list[dict[str, Any]] = []
     for key in keys:
         numbers_a, numbers_b = (_numbers(rows[key]) for rows in (rows_a, rows_b))
         for quantity in numbers_a:

@@ -178,7 +178,7 @@ class Intersections:
     @cached_property
     def contour_lengths(self) -> FloatArray:
         """(C,) length of each contour [m]."""
-        return np.bincount(self.contour, self.segment_lengths, minlength=self.contour_count)
+        return np.bincount(self.contour, self.segment_lengths, minlength=self.contour_count).astype(np.float64)
 
     @cached_property
     def contours(self) -> list[Contour]:

@@ -70,7 +70,7 @@ def make(name: str, **parameters: Any) -> Scene:
     """
     maker = _maker(name)
     known = {p.name: p for p in describe(name).parameters}
-    checked = {}
+    checked: dict[str, Any] = {}
     for key, value in parameters.items():
         if key not in known:
             raise ValueError(f"{name}.{key}: unknown parameter; known: {', '.join(known)}")

@@ -111,11 +111,11 @@ def _torso() -> tuple[Mesh, FloatArray, FloatArray]:
         places = np.where(inner[:, None], 0.5 * places + 0.5 * average(places), places)
     corners = places[mesh.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.stack(
+    normals: FloatArray = np.stack(
         [np.bincount(mesh.faces.ravel(), np.repeat(across[:, c], 3), minlength=len(places)) for c in range(3)], axis=1
     )
     for _ in range(_SMOOTHING):
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         normals = 0.5 * normals + 0.5 * average(normals)
     return mesh, places, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

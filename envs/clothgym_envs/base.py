@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -63,7 +63,7 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray]):
     remaining steps could cost), so that no way of dying pays.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "depth_array"], "render_fps": 20}
+    metadata = {"render_modes": ["rgb_array", "depth_array"], "render_fps": 20}
     control_period = 0.05
     worst_cost_per_step = 0.0
     simulation: cg.Simulation

@@ -183,7 +183,7 @@ class RerunRecorder(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
 def _wrapper_names(env: gym.Env[Any, Any]) -> list[tuple[str, gym.Env[Any, Any]]]:
     """The wrappers from the outermost to the environment itself (exclusive)."""
-    found = []
+    found: list[tuple[str, gym.Env[Any, Any]]] = []
     while isinstance(env, gym.Wrapper):
         found.append((type(env).__name__, env))
         env = env.env

@@ -138,7 +138,7 @@ class _Relaxation:
             mean = np.stack(
                 [np.bincount(self.owner, field[self.neighbours, c], minlength=len(field)) for c in range(3)], axis=1
             )
-            mean /= self.degree[: len(field), None]
+            mean = mean / self.degree[: len(field), None]
             field = np.where(given[:, None], moved, mean)
             field[~self.free] = 0.0
         return field

@@ -46,7 +46,7 @@ class Fidelity:
 
     integrator: str = "xpbd"
     substeps: int = 8
-    sweeps: int = 4
+    sweeps: int = 8
     velocity_modification: str = "none"
     stretch_limit: float = 0.1
     detection: str = "hierarchy"

@@ -129,6 +129,8 @@ class _Step:
 
     def __init__(self, model: ClothModel, fidelity: Fidelity, substeps: int) -> None:
         scene = model.scene
+        # without contact, forces need no sweeps
+        sweeps = fidelity.sweeps if scene.self_collision or fidelity.integrator == "xpbd" else 1
         self.substeps, self.sweeps = substeps, fidelity.sweeps
         self.dt = scene.step / substeps
         self.explicit = fidelity.integrator == "symplectic_euler"
@@ -140,7 +142,7 @@ class _Step:
         self.radii = 0.5 * model.thickness
         self.multipliers = np.zeros(0 if self.explicit else len(model.spring_rest))
         self.forces = np.zeros((model.vertex_count if self.explicit else 0, 3))
-        self.label = f"{fidelity.integrator} {substeps}x{1 if self.explicit else fidelity.sweeps}"
+        self.label = f"{fidelity.integrator} {substeps}x{sweeps}"
         if self.limit >= 0:
             self.label += f", velocity modification {fidelity.velocity_modification} above {self.limit:g}"
 
@@ -300,6 +302,8 @@ class _ContactSubsteps:
         )
         self.rounds = fidelity.repair_rounds
         self.name = f"contact substeps [{step.label}]"
+        if fidelity.untangling == "none" and fidelity.contacts_near_hits == "keep":
+            self.reads = ("positions", "velocities", "quads")  # no stage looks for intersections
         if windy:
             self.reads = (*self.reads, "external")
 

@@ -275,7 +275,7 @@ def test_certify_leaves_safe_paths_alone():
 def test_certify_alone_stops_one_vertex_at_one_triangle():
     """The vertex keeps at least a tenth of the thickness from the moving triangle, and momentum is kept."""
     x = np.array([[0.2, 0.5, 0.2], [0, 0, 0], [1, 0, 0], [0, 0, 1.0]])
-    p = x + [[0, -2.0, 0], [0, 0.5, 0], [0, 0.5, 0], [0, 0.5, 0]]
+    p = x + np.array([[0, -2.0, 0], [0, 0.5, 0], [0, 0.5, 0], [0, 0.5, 0]])
     w = np.array([1.0, 0.5, 0.5, 0.25])
     quads, kinds = np.array([[0, 1, 2, 3]], np.int32), np.zeros(1, np.uint8)
     for rounds in (0, 20):
@@ -381,7 +381,7 @@ def test_contact_keeps_momentum_and_cones(seed):
 
 def test_contact_never_pulls():
     w = np.ones(4)
-    p = FLOOR + [[0, 0.06, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]]  # 12 cm apart: active, but further than the thickness
+    p = FLOOR + np.array([[0, 0.06, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])  # 12 cm apart: active, but further than the thickness
     q, buffers = solved(FLOOR, p, w, 0.1, 0.5, 10)
     assert buffers.active == 1
     assert (q == p).all()

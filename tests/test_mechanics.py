@@ -409,7 +409,7 @@ def test_xpbd_keeps_linear_momentum_and_angular_momentum_in_the_limit():
         scene = lone(ladder(4, top=(), stretched=1.05), gravity=(0, 0, 0))
         sim = cg.Simulation(scene, cg.Fidelity(substeps=substeps, sweeps=4))
         spin = np.cross([0.0, 0.0, 1.0], sim.positions)
-        sim.set_velocities(spin + [0.3, -0.2, 0.1])
+        sim.set_velocities(spin + np.array([0.3, -0.2, 0.1]))
         m = sim.model.masses
 
         def moment(sim=sim, m=m):

@@ -148,7 +148,7 @@ def test_nothing_here_knows_learning_or_viewers():
 
 
 def stages(scene, **fidelity) -> list[str]:
-    sim = cg.Simulation(scene, cg.Fidelity(**fidelity))
+    sim = cg.Simulation(scene, cg.Fidelity(**({"substeps": 8, "sweeps": 4} | fidelity)))
     return [stage.name for stage in sim.pipeline.stages]
 
 
@@ -200,7 +200,7 @@ def test_every_array_read_was_written_before(scene, untangling, near):
 
 
 def test_describe_names_every_stage_and_the_step():
-    sim = cg.Simulation(PILE, "balanced")
+    sim = cg.Simulation(PILE, cg.Fidelity(substeps=8))
     text = sim.pipeline.describe()
     for stage in sim.pipeline.stages:
         assert stage.name in text

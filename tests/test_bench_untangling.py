@@ -33,7 +33,9 @@ def test_cases_are_every_strategy_at_every_seed_and_the_control(quick: bool) -> 
     assert {(p["strategy"], p["seed"]) for p in squares} == {
         (strategy, seed) for strategy in ("none", "local", "global", "hybrid") for seed in range(seeds)
     }
-    assert {p["steps"] for p in squares} == {40 if quick else 330}
+    lasting = {p["steps"] for p in squares if p["strategy"] in ("global", "hybrid")}
+    assert lasting == {40 if quick else 330}  # until clean, and 300 steps on
+    assert {p["steps"] for p in squares if p["strategy"] in ("none", "local")} == {40 if quick else 100}
     pile = [case.parameters for case in listed if case.parameters["scene"] == "pile"]
     assert pile
     assert all(p["strategy"] == "none" for p in pile)

@@ -192,6 +192,35 @@ def test_no_pair_within_thickness_is_missing(tree, seed):
     assert len(found) < len(points) + len(lines), "everything is a candidate: the test shows nothing"
 
 
+@pytest.mark.parametrize("tree", [Hierarchy, BruteForce])
+def test_pairs_at_the_very_edge_of_their_slack_are_listed(tree):
+    """Straight above each other, both at the end of their slack, thickness apart: the worst case that is promised."""
+    mesh = cg.grid(0.2, 0.2, 1, 1)
+    for inside, expected in ((-1e-9, True), (1e-3, False)):
+        gap = 1.0
+        for _ in range(3):  # slack depends on thickness only, while nothing is expected to move
+            lift = mesh.transformed(translation=(0.0, gap, 0.0))
+            material = cg.Material(thickness=0.01)
+            model = ClothModel(cg.Scene([cg.Cloth(mesh, material), cg.Cloth(lift, material)]))
+            start = np.concatenate([mesh.vertices, lift.vertices])
+            candidates = Candidates(model, tree(model.surface, start, 18, 4))
+            candidates.expect(start, np.zeros_like(start))
+            candidates.gather()
+            gap = 0.01 + 2.0 * candidates.slack[0] + inside
+        across = [quad for quad in candidates.quads[: candidates.count].tolist() if min(quad) < 4 <= max(quad)]
+        assert bool(across) == expected
+        if expected:
+            assert {min(q) for q in across} | {max(q) for q in across} >= {0, 3, 4, 7}
+
+
+def test_common_motion_needs_no_second_look():
+    """What goes where it was expected to go is looked for once a step."""
+    sim = cg.Simulation(stack(3, 3), dataclasses.replace(CONTACT_ONLY, substeps=8))
+    sim.set_velocities(np.tile([3.0, -2.0, 1.0], (48, 1)))
+    sim.step(2)
+    assert sim.metrics()["work"].get("rebuilds", 0) == 0
+
+
 def test_trees_differ_only_in_what_they_reject():
     rng = np.random.default_rng(3)
     scene = stack(4, 3, gap=0.02)
@@ -304,6 +333,23 @@ def test_no_substep_of_a_violent_run_crosses(substeps, seed):
         assert naive.collisions(x, p, sim.model.faces, quads=both) == []
     assert sim.metrics()["work"]["repaired"] + sim.metrics()["work"]["zoned"] > 0
     assert cg.intersections(sim.positions, sim.model.surface).hit_count == 0
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_gripper_that_jumps_pulls_nothing_through(substeps, count):
+    """A hand placed 40 cm further moves vertices that nobody expected to move; a sheet in between must hold."""
+    scene = dataclasses.replace(stack(2, 3, gap=0.05, thickness=2e-3), grips=[cg.Grip(stiffness=1e6, slip_force=1e6)])
+    sim = cg.Simulation(scene, dataclasses.replace(CONTACT_ONLY, substeps=count))
+    sim.place_grip(0, sim.positions[5])
+    assert sim.grasp(0, [5]) == 1
+    for target in ((0.0, 0.45, 0.0), (0.1, -0.4, 0.1), (-0.1, 0.5, 0.0)):
+        sim.place_grip(0, target)
+        sim.step()
+    assert sim.metrics()["work"]["rebuilds"] > 0
+    both = naive.all_quads(sim.model.faces)
+    for x, p in substeps:
+        assert naive.collisions(x, p, sim.model.faces, quads=both) == []
+    assert sim.last_intersections.hit_count == 0
 
 
 @pytest.mark.parametrize("integrator", ["xpbd", "symplectic_euler"])

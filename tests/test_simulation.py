@@ -84,6 +84,13 @@ def test_the_hash_sees_every_part_of_the_state():
         change(state)
         hashes.add(state.hash())
     assert len(hashes) == len(changes) + 1
+    held = []
+    for offset in (0.0, 1e-9):
+        state = sim.snapshot()
+        state.held_vertices, state.held_by = np.array([4], np.int32), np.zeros(1, np.int32)
+        state.held_offsets = np.full((1, 3), offset)
+        held.append(state.hash())
+    assert held[0] != held[1]
 
 
 def test_twenty_resets_are_one_reset():
@@ -340,6 +347,20 @@ def test_untangling_in_a_simulation_resolves_and_counts():
         sim.step()
         assert not clean or sim.metrics()["untangling_passes"] == before, "a pass without intersections"
     assert sim.last_intersections.hit_count == 0
+
+
+def test_corrections_speed_no_vertex_up_beyond_the_limit():
+    """Slow vertices reach the limit at most; vertices that are faster already keep their speed and gain none."""
+    for before, limit in ((0.0, 0.3), (0.2, 0.3), (0.9, 0.3)):
+        sim = cg.Simulation(tangle(), dataclasses.replace(GLOBAL, speed_limit=limit, h0=1.0))
+        sim.set_velocities(np.tile([before, 0.0, 0.0], (len(sim.positions), 1)))
+        for stage in sim.pipeline.stages[:2]:
+            stage.run(sim._frame)
+        assert "intersections" in stage.name
+        speed = np.linalg.norm(sim.velocities, axis=1)
+        assert (sim.positions != sim.scene.start).any()
+        assert speed.max() <= max(before, limit) * (1 + 1e-12)
+        assert speed.max() == pytest.approx(max(before, limit)), "the limit is never reached: the test shows nothing"
 
 
 # ---------------------------------------------------------------------------------------------------------------

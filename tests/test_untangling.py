@@ -52,7 +52,11 @@ def with_hits(hits, kept):
 @pytest.mark.parametrize("name", ["crossing", "crumple", "sheets"])
 def test_corrections_keep_linear_and_angular_momentum(name, kinematic):
     rng = np.random.default_rng(4)
-    makers = {"crossing": (meshes.crossing_sheets, 5, 1), "crumple": (meshes.crumple, 8, 0), "sheets": (meshes.many_sheets, 5, 3, 2)}
+    makers = {
+        "crossing": (meshes.crossing_sheets, 5, 1),
+        "crumple": (meshes.crumple, 8, 0),
+        "sheets": (meshes.many_sheets, 5, 3, 2),
+    }
     make, *settings = makers[name]
     mesh = make(*settings)
     w = rng.uniform(0.2, 5.0, len(mesh[0]))
@@ -193,6 +197,38 @@ def test_a_ribbon_right_through_a_sheet_is_a_null_case(name):
     assert cg.intersections(hybrid.vertices, mesh[1]).hit_count == 0
 
 
+def swapping_bands(columns: int = 12):
+    """An X carried around a circle and turned by a quarter on the way: one band, whose two sheets change places along the
+    contour, so that its sides cannot be told apart."""
+    rows = np.array([-1.0, -0.37, 0.29, 1.0])
+    vertices, faces = [], []
+    for n in range(2 * columns):
+        round_, turn = 2 * np.pi * n / columns, 0.5 * np.pi * n / columns
+        out = np.array([np.cos(round_), 0.0, np.sin(round_)])
+        vertices += [out + 0.3 * s * (np.cos(turn) * out + np.sin(turn) * np.array([0, 1.0, 0])) for s in rows]
+    for n in range(2 * columns):
+        this = [4 * n + k for k in range(4)]
+        following = [4 * (n + 1) + k for k in range(4)] if n + 1 < 2 * columns else [3 - k for k in range(4)]
+        for k in range(3):
+            faces += [[this[k], this[k + 1], following[k]], [following[k], this[k + 1], following[k + 1]]]
+    return meshes.jittered((np.array(vertices), np.array(faces)), 0.01, 3)
+
+
+@pytest.mark.parametrize("strategy", ["global", "hybrid"])
+def test_sides_that_cannot_be_told_apart_go_the_local_way(strategy):
+    context = context_of(swapping_bands())
+    hits = context.intersections
+    assert hits.hit_count > 20
+    assert not hits.contour_consistent.all()
+    assert not all(c.consistent for c in hits.contours)
+    broken = ~hits.contour_consistent[hits.hit_contour]
+    wanted = untangling.base.local_targets(context)
+    assert untangling.base.global_targets(context)[broken] == pytest.approx(wanted[broken])
+    if broken.all():
+        local = untangling.get("local").propose(context).displacements
+        assert untangling.get(strategy).propose(context).displacements == pytest.approx(local)
+
+
 @pytest.mark.parametrize("strategy", ["local", "global", "hybrid"])
 def test_strategies_are_memoryless(strategy):
     chosen = untangling.get(strategy)
@@ -257,9 +293,11 @@ def test_ring_marking_counts_edges():
 def test_fixed_vertices_stay_bit_equal():
     vertices, faces = BIBI["X"]()
     fixed = np.zeros(len(vertices), np.bool_)
-    fixed[:36] = True  # the whole first square
-    result = cg.untangle(vertices, faces, fixed=fixed)
-    assert result.resolved
+    fixed[:36] = True  # the whole first square, and the far row of the second
+    fixed[36:][vertices[36:, 0] > vertices[36:, 0].max() - 1e-6] = True
+    assert 36 < fixed.sum() < 50
+    result = cg.untangle(vertices, faces, fixed=fixed, passes=12)
+    assert result.hits < result.hit_history[0]
     assert result.vertices[fixed].tobytes() == np.ascontiguousarray(vertices[fixed]).tobytes()
     assert not np.array_equal(result.vertices[~fixed], vertices[~fixed])
 

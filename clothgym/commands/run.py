@@ -17,7 +17,10 @@ from clothgym.arrays import check_number
 from clothgym.benchmarks.report import Table, json_ready
 from clothgym.commands import JsonOption, Stopped, answer, ctrl_c_between_steps, progress_bar, reserved_stdout
 
-_HELP = """Simulates a ready scene (`clothgym scenes` lists them) or a scene file (.json), and prints its metrics.
+_HELP = """Simulates a ready scene (`clothgym scenes` lists them), a scene file (.json), or your own mesh, and prints its metrics.
+
+A mesh (any format that trimesh reads, in metres, y up) falls on the ground under it, or hangs by its pins:
+`clothgym run towel.obj --set material=denim --set "pins=[0, 16]" --set ground=0.0`
 
 Exit code: 0 done, 1 the simulation diverged, 2 bad input, 130 stopped (the recording and the pictures so far are kept).
 """
@@ -29,7 +32,7 @@ def register(app: typer.Typer) -> None:
 
 
 def run(
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help="Name of a scene, or a .json file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="Name of a scene, a .json file, or a mesh.")],
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the scene; repeatable.")
     ] = None,
@@ -39,7 +42,7 @@ def run(
     seconds: Annotated[
         float | None, typer.Option("--seconds", help="Simulated time [s]; default: as the scene says.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the reset.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the scene, where it has one.")] = 0,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="FILE.rrd", help="Writes a rerun recording.", show_default=False)
     ] = None,
@@ -75,9 +78,9 @@ def _simulate(
     check_number(seed, "--seed", 0, 2**63 - 1, integer=True)
     if seconds is not None:
         check_number(seconds, "--seconds", 0.0, 1e6)
-    scene = _read_scene(name, settings)
+    scene = _read_scene(name, settings, seed)
     simulation = cg.Simulation(scene, fidelity=read_fidelity(fidelity))
-    simulation.reset(seed=seed)
+    simulation.reset()
     duration = scene.duration if seconds is None else seconds
     total = round(duration / scene.step)
     done = 0
@@ -154,10 +157,31 @@ def read_fidelity(text: str) -> Any:
         raise ValueError(f"{text}: {error}") from error
 
 
-def _read_scene(name: str, settings: dict[str, Any]) -> Any:
+def _mesh_scene(path: Path, settings: dict[str, Any]) -> Any:
+    """A user's own mesh as the only cloth of a scene."""
+    import clothgym as cg
+    from clothgym.commands.untangle import read_mesh
+
+    vertices, faces, _ = read_mesh(path, None)
+    pins = settings.pop("pins", [])
+    lowest = None if pins else float(vertices[:, 1].min())
+    ground, material = settings.pop("ground", lowest), settings.pop("material", "cotton")
+    if settings:
+        raise ValueError(f"--set {min(settings)}: a mesh takes material, pins and ground")
+    if not isinstance(pins, list) or not all(isinstance(pin, int) for pin in pins):
+        raise ValueError(f"--set pins={pins!r}: expected a list of vertex ids, such as [0, 16]")
+    cloth = cg.Cloth((vertices, faces), material, pins, name=path.stem)
+    return cg.Scene((cloth,), ground=ground, name=path.stem)
+
+
+def _read_scene(name: str, settings: dict[str, Any], seed: int) -> Any:
     import clothgym as cg
 
+    if Path(name).suffix not in ("", ".json"):
+        return _mesh_scene(Path(name), dict(settings))
     if not name.endswith(".json"):
+        if seed and "seed" not in settings and any(p.name == "seed" for p in cg.scenes.describe(name).parameters):
+            settings = {**settings, "seed": seed}
         return cg.scenes.make(name, **settings)
     if settings:
         raise ValueError(f"--set {next(iter(settings))}: a scene file has no parameters; edit {name} instead")

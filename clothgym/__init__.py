@@ -1,18 +1,61 @@
-"""clothgym: cloth simulation for learning and graphics, on any laptop."""
+"""clothgym: cloth simulation for learning and graphics, on any laptop.
+
+Public names are imported when they are first used: what a program does not touch, it does not load.
+"""
 
 from __future__ import annotations
 
-from clothgym import metrics, scenes
-from clothgym.detection.intersections import Contour, Intersections, Proximities, intersections, proximities
-from clothgym.errors import MissingExtraError, SimulationError
-from clothgym.fidelity import Fidelity
-from clothgym.materials import Material
-from clothgym.mesh import Mesh, Surface, grid
-from clothgym.response.untangling.run import UntangleResult, untangle
-from clothgym.scene import Cloth, Grip, Scene
-from clothgym.simulation import Simulation
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clothgym import metrics, scenes
+    from clothgym.detection.intersections import Contour, Intersections, Proximities, intersections, proximities
+    from clothgym.errors import MissingExtraError, SimulationError
+    from clothgym.fidelity import Fidelity
+    from clothgym.materials import Material
+    from clothgym.mesh import Mesh, Surface, grid
+    from clothgym.response.untangling.run import UntangleResult, untangle
+    from clothgym.scene import Cloth, Grip, Scene
+    from clothgym.simulation import Simulation
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Contour": "detection.intersections",
+    "Intersections": "detection.intersections",
+    "Proximities": "detection.intersections",
+    "intersections": "detection.intersections",
+    "proximities": "detection.intersections",
+    "MissingExtraError": "errors",
+    "SimulationError": "errors",
+    "Fidelity": "fidelity",
+    "Material": "materials",
+    "Mesh": "mesh",
+    "Surface": "mesh",
+    "grid": "mesh",
+    "UntangleResult": "response.untangling.run",
+    "untangle": "response.untangling.run",
+    "Cloth": "scene",
+    "Grip": "scene",
+    "Scene": "scene",
+    "Simulation": "simulation",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("scenes", "metrics"):
+        return importlib.import_module(f"clothgym.{name}")
+    if name in _HOMES:
+        value = getattr(importlib.import_module(f"clothgym.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'clothgym' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES, "scenes", "metrics"])
+
 
 __all__ = [
     "Cloth",

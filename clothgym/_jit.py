@@ -16,6 +16,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,9 @@ from numba.core import config
 
 _numba_config: Any = config
 
-_KEPT_DIGESTS = 4
-"""Caches of this many source versions are kept, so that switching between branches stays warm."""
+_KEPT_DIGESTS = 8
+_KEPT_DAYS = 14
+"""Caches of this many source versions are kept, and all younger ones: other checkouts share the folder."""
 
 bounds_check = os.environ.get("CLOTHGYM_BOUNDSCHECK", "0") == "1"
 flags: dict[str, Any] = {"error_model": "numpy", "boundscheck": bounds_check, "nogil": True}
@@ -63,7 +65,8 @@ def _prune(root: Path, current: str) -> None:
     folders = [f for f in root.iterdir() if f.is_dir() and len(f.name) == 16 and f.name != current]
     folders.sort(key=lambda f: f.stat().st_mtime, reverse=True)
     for folder in folders[_KEPT_DIGESTS - 1 :]:
-        shutil.rmtree(folder, ignore_errors=True)
+        if time.time() - folder.stat().st_mtime > _KEPT_DAYS * 86_400:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 cache_root = _cache_root()

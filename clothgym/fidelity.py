@@ -16,6 +16,20 @@ CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
 
+_RANGES = {
+    "substeps": (0, 100_000, True),
+    "sweeps": (1, 10_000, True),
+    "stretch_limit": (0.0, 10.0, False),
+    "repair_rounds": (0, 1000, True),
+    "untangling_passes": (1, 1000, True),
+    "h0": (1e-6, 100.0, False),
+    "g0": (1e-9, 1e9, False),
+    "velocity_share": (0.0, 1.0, False),
+    "speed_limit": (1e-3, 1e3, False),
+    "yield_force": (1e-9, 1e9, False),
+    "rings": (0, 10, True),
+}
+
 
 @dataclass(frozen=True)
 class Fidelity:
@@ -68,22 +82,15 @@ class Fidelity:
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
-        check_number(self.substeps, "fidelity.substeps", 0, 100_000, integer=True)
-        check_number(self.sweeps, "fidelity.sweeps", 1, 10_000, integer=True)
-        check_number(self.stretch_limit, "fidelity.stretch_limit", 0.0, 10.0)
-        check_number(self.repair_rounds, "fidelity.repair_rounds", 0, 1000, integer=True)
-        check_number(self.untangling_passes, "fidelity.untangling_passes", 1, 1000, integer=True)
-        check_number(self.h0, "fidelity.h0", 1e-6, 100.0)
-        check_number(self.g0, "fidelity.g0", 1e-9, 1e9)
-        check_number(self.velocity_share, "fidelity.velocity_share", 0.0, 1.0)
-        check_number(self.speed_limit, "fidelity.speed_limit", 1e-3, 1e3)
-        check_number(self.yield_force, "fidelity.yield_force", 1e-9, 1e9)
-        check_number(self.rings, "fidelity.rings", 0, 10, integer=True)
+        for field, (low, high, integer) in _RANGES.items():
+            # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
+            object.__setattr__(self, field, check_number(getattr(self, field), f"fidelity.{field}", low, high, integer))
         for field, choices in (("k", DOPS), ("arity", ARITIES)):
             if getattr(self, field) not in choices:
                 raise ValueError(
                     f"fidelity.{field} = {getattr(self, field)!r}: expected one of {', '.join(map(str, choices))}"
                 )
+            object.__setattr__(self, field, int(getattr(self, field)))
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {self.untangling!r}: expected the name of a strategy")
         if self.velocity_modification != "none" and self.integrator != "symplectic_euler":

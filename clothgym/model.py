@@ -24,6 +24,7 @@ class ClothModel:
         springs: ends (S, 2), rest lengths (S,) [m], stiffness (S,) [N/m], kinds (S,).
         edge_rest: (E,) rest length of every mesh edge [m]; mean_edge their mean.
         thickness: (V,) contact distance [m], never more than half the least altitude of the triangles around.
+        friction, damping: mean over the cloths (one value acts on all of them).
         ranges: (name, vertex slice, face slice) of each cloth.
         cloth_of_vertex: (V,) number of its cloth.
     """

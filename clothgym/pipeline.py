@@ -19,6 +19,10 @@ from clothgym.model import ClothModel
 from clothgym.state import ClothState
 
 
+SPEED_CAP = 1e4
+"""Speeds above this [m/s] count as diverged."""
+
+
 class Frame:
     """What stages share while a step runs: the state, the model, and named buffers."""
 
@@ -59,6 +63,14 @@ class Frame:
             np.zeros((held, 3)),
         )
 
+    def diverged(self) -> str:
+        """What is out of bounds in the state, or nothing."""
+        x, v = self.state.positions, self.state.velocities
+        if not (np.isfinite(x).all() and np.isfinite(v).all()):
+            return "positions are no longer finite"
+        speed = float(np.sqrt(np.einsum("ij,ij->i", v, v).max()))
+        return f"a speed of {speed:.3g} m/s passed the cap of {SPEED_CAP:g} m/s" if speed > SPEED_CAP else ""
+
     def count(self, name: str, amount: int) -> None:
         """Adds to a work counter."""
         self.work[name] = self.work.get(name, 0) + int(amount)
@@ -86,13 +98,16 @@ class Pipeline:
             for part in getattr(stage, "parts", ()):  # inner loops report their own parts
                 self.profile[f"{stage.name}: {part}"] = [0, 0.0]
 
-    def run(self, frame: Frame) -> None:
-        """Advances the frame's state by one step."""
+    def run(self, frame: Frame) -> tuple[str, str] | None:
+        """Advances the frame's state by one step; the stage and what diverged in it, if anything did."""
         frame.profile = self.profile
         for stage in self.stages:
             started = time.perf_counter()
             stage.run(frame)
             frame.clock(stage.name, started)
+            if "positions" in stage.writes and (diverged := frame.diverged()):
+                return stage.name, diverged
+        return None
 
     def describe(self) -> str:
         """One line per stage: name, what it reads and writes."""
@@ -120,7 +135,8 @@ class _Wind:
             frame.external = np.zeros((frame.model.vertex_count, 3))
         state, model = frame.state, frame.model
         self.kernel(
-            state.positions, state.velocities, model.faces, model.inverse_masses, self.wind, self.drag, frame.external
+            state.positions, state.velocities, model.faces, model.inverse_masses, self.wind, self.drag,
+            model.scene.step, frame.external,
         )
 
 
@@ -208,6 +224,7 @@ class _Untangle:
         from clothgym.kernels.untangling import mark_ring
         from clothgym.response import untangling
 
+        self.answer = untangling.answer
         self.strategy = untangling.get(fidelity.untangling)
         self.passes = fidelity.untangling_passes if self.strategy is not None else 0
         self.name = f"intersections [untangle {fidelity.untangling} x{self.passes}, contact {fidelity.contacts_near_hits}]"
@@ -238,9 +255,9 @@ class _Untangle:
             if self.strategy is not None:
                 frame.untangling_passes += 1
                 context = self.context(hits, model.inverse_masses, model.vertex_areas, self.h0, fidelity.g0)
-                corrections = self.strategy.propose(context)
-                self._apply(frame, corrections.displacements)
-                inside, moved = corrections.apart, True
+                moves, inside = self.answer(self.strategy, context)
+                self._apply(frame, moves)
+                moved = True
             if fidelity.contacts_near_hits != "keep":
                 self._mark(model, hits, inside)
         if moved:
@@ -296,6 +313,7 @@ class _ContactSubsteps:
 
         self.step, self.candidates, self.apart, self.kernels = step, candidates, apart, contact
         self.contacts = ContactBuffers(max(1024, len(model.faces)))
+        self.spare = ContactBuffers(1024)  # looking again must not forget what pressed
         self.near = (
             fidelity.contacts_near_hits == "off_both",
             fidelity.yield_force if fidelity.contacts_near_hits == "yield" else 0.0,
@@ -350,7 +368,7 @@ class _ContactSubsteps:
                     # something moved further than expected: look again around where everything really goes
                     found.expect(x, p - x)
                     found.gather()
-                    self.contacts.narrow(x, p, found, self.apart, *self.near)
+                    self.spare.narrow(x, p, found, self.apart, *self.near)
                     base, horizon, share = n, 1, 1.0
                     frame.count("rebuilds", 1)
                     now = frame.clock(f"{self.name}: find again", now)
@@ -363,6 +381,8 @@ class _ContactSubsteps:
                 now = frame.clock(f"{self.name}: certify", now)
                 if not found.outdated(p, share):
                     break
+            else:
+                frame.count("unproved", 1)
             integrate.finish(x, v, p, s.dt)
             self.kernels.stop_rebound(v, model.inverse_masses, self.contacts.arrays, self.contacts.active, s.dt)
             frame.clock(f"{self.name}: advance", now)

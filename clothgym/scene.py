@@ -58,12 +58,7 @@ class Cloth:
         rest = points if self.rest is None else as_points(self.rest, f"cloth {self.name!r}: rest", len(points)).copy()
         object.__setattr__(self, "rest", rest)
         object.__setattr__(self, "material", materials.get(self.material))
-        pins = []
-        for value in self.pins:
-            if not 0 <= int(value) < len(points):
-                raise ValueError(f"cloth {self.name!r}: pins: no vertex {value}, there are {len(points)}")
-            pins.append(int(value))
-        object.__setattr__(self, "pins", tuple(pins))
+        object.__setattr__(self, "pins", _pins(self.pins, len(points), self.name))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; floats survive exactly."""
@@ -96,6 +91,25 @@ class Cloth:
             values["name"],
             values["equal_masses"],
         )
+
+
+def _pins(given: Any, count: int, name: str) -> tuple[int, ...]:
+    """Vertex ids from a list of ids or a mask (V,) of booleans."""
+    values = np.asarray(given)
+    if values.size == 0:
+        return ()
+    if values.dtype == np.bool_:
+        if values.shape != (count,):
+            raise ValueError(f"cloth {name!r}: pins: a mask needs {count} booleans, got shape {values.shape}")
+        return tuple(int(i) for i in np.flatnonzero(values))
+    pins = []
+    for value in given:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            raise ValueError(f"cloth {name!r}: pins: {value!r} is no vertex id")
+        if not 0 <= value < count:
+            raise ValueError(f"cloth {name!r}: pins: no vertex {value}, there are {count}")
+        pins.append(int(value))
+    return tuple(pins)
 
 
 @dataclass(frozen=True)
@@ -195,6 +209,12 @@ class Scene:
         unknown = set(values) - set(known)
         if unknown:
             raise ValueError(f"scene.{min(unknown)}: unknown field; known: {', '.join(known)}")
+        if "cloths" not in values:
+            raise ValueError("scene.cloths: missing")
         values["cloths"] = [Cloth.from_json(c) for c in values["cloths"]]
+        grip_fields = {f.name for f in dataclasses.fields(Grip)}
+        for grip in values.get("grips", []):
+            if set(grip) - grip_fields:
+                raise ValueError(f"grip.{min(set(grip) - grip_fields)}: unknown field; known: {', '.join(sorted(grip_fields))}")
         values["grips"] = [Grip(**g) for g in values.get("grips", [])]
         return Scene(**values)

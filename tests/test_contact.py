@@ -364,10 +364,10 @@ def test_a_sheet_shot_at_another_does_not_pass_through(substeps, integrator, pin
     velocities = np.zeros_like(scene.start)
     velocities[~lower, 1] = -50.0
     sim.set_velocities(velocities)
-    for _ in range(3):
+    for number in range(3):
         sim.step()
         assert cg.intersections(sim.positions, sim.model.surface).hit_count == 0
-        if not pinned:
+        if not pinned and number == 0:  # later they are wrapped around each other and heights say nothing
             assert sim.positions[~lower, 1].mean() > sim.positions[lower, 1].mean()
     assert sim.metrics()["work"]["contacts"] > 0
     for x, p in substeps:  # no crossing on any straight way is the proof, at every substep

@@ -67,10 +67,10 @@ class Hierarchy:
             found, tests, overflow = bvh.self_pairs(
                 self._child_start, self._child_count, self._node_face, self._boxes, self._stack, self._pairs
             )
-            self.box_tests += tests
             if overflow:
                 self._stack = np.zeros((4 * len(self._stack), 2), np.int64)
             elif found > len(self._pairs):
                 self._pairs = np.zeros((int(1.3 * found) + 64, 2), np.int32)
             else:
+                self.box_tests += tests
                 return self._pairs[:found]

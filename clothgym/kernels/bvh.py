@@ -57,6 +57,7 @@ def build(centroids, axes, axis_lengths, arity, child_start, child_count, node_f
             projections[f, a] = (
                 axes[a, 0] * centroids[f, 0] + axes[a, 1] * centroids[f, 1] + axes[a, 2] * centroids[f, 2]
             )
+    levels = 1 if arity == 2 else (2 if arity == 4 else 3)
     starts = np.empty(2 * count, np.int64)
     stops = np.empty(2 * count, np.int64)
     ranges = np.empty((2, 8, 2), np.int64)
@@ -75,7 +76,7 @@ def build(centroids, axes, axis_lengths, arity, child_start, child_count, node_f
         now = 0
         ranges[0, 0, 0] = starts[node]
         ranges[0, 0, 1] = stops[node]
-        while parts < arity:
+        for _ in range(levels):
             made = 0
             for p in range(parts):
                 first = ranges[now, p, 0]
@@ -92,8 +93,6 @@ def build(centroids, axes, axis_lengths, arity, child_start, child_count, node_f
                     ranges[1 - now, made + 1, 1] = last
                     made += 2
             now = 1 - now
-            if made == parts:
-                break
             parts = made
         node_face[node] = -1
         child_start[node] = nodes

@@ -267,7 +267,7 @@ def _project_contacts(x, p, inverse_masses, contacts, count, friction, dt):
                 p[q[k], 0] += g * normal[0]
                 p[q[k], 1] += g * normal[1]
                 p[q[k], 2] += g * normal[2]
-        if friction == 0.0 or after == 0.0:
+        if friction == 0.0 or (after == 0.0 and before == 0.0):
             continue
         tx = 0.0
         ty = 0.0

@@ -108,13 +108,14 @@ def _accelerate(x, v, p, cloth, motion):
     for i in range(x.shape[0]):
         if cloth.inverse_masses[i] == 0.0:
             for c in range(3):
-                p[i, c] = x[i, c] + motion.dt * v[i, c]
+                p[i, c] = x[i, c]
             continue
         for c in range(3):
             a = motion.gravity[c]
             if wind:
                 a += motion.external[i, c]
-            v[i, c] = (v[i, c] + motion.dt * a) * factor
+            # only the old velocity is damped: static forces must not depend on damping
+            v[i, c] = v[i, c] * factor + motion.dt * a
             p[i, c] = x[i, c] + motion.dt * v[i, c]
 
 
@@ -135,11 +136,11 @@ def _euler_velocities(x, v, f, cloth, motion):
             v[i, c] += motion.dt * a
     if motion.stretch_limit >= 0.0:
         modify_velocities(x, v, cloth, motion.stretch_limit, motion.relative)
-        for i in range(x.shape[0]):
-            if cloth.inverse_masses[i] == 0.0:
-                v[i, 0] = 0.0
-                v[i, 1] = 0.0
-                v[i, 2] = 0.0
+    for i in range(x.shape[0]):
+        if cloth.inverse_masses[i] == 0.0:
+            v[i, 0] = 0.0
+            v[i, 1] = 0.0
+            v[i, 2] = 0.0
 
 
 @device

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothgym.arrays import FloatArray
-from clothgym.detection.intersections import intersections
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, Surface, grid
 from clothgym.scene import Cloth, Grip, Scene
@@ -54,6 +53,8 @@ def draw_stack(scene: Scene, rng: np.random.Generator) -> LayerStack:
     Raises:
         RuntimeError: no such draw in 50 attempts.
     """
+    from clothgym.detection.intersections import intersections
+
     count = len(scene.cloths)
     size = len(scene.cloths[0].mesh.vertices)
     faces = np.concatenate([cloth.mesh.faces + k * size for k, cloth in enumerate(scene.cloths)])

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clothgym import body
 from clothgym.arrays import FloatArray
-from clothgym.detection.sides import Sides
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, Surface
 from clothgym.scene import Cloth, Scene
+
+if TYPE_CHECKING:
+    from clothgym.detection.sides import Sides
 
 GAPS = (0.015, 0.030)
 """Distance of the inner and the outer shell from the torso [m]."""
@@ -85,6 +88,8 @@ def outside(positions: FloatArray) -> float:
 @lru_cache(maxsize=1)
 def _clean_sides() -> tuple[Sides, FloatArray]:
     """Who is on which side of whom in the clean state."""
+    from clothgym.detection.sides import Sides
+
     inner, outer = clean_shells()
     count = len(inner.vertices)
     sides = Sides(np.concatenate([inner.faces, outer.faces + count]), slice(0, count), slice(count, 2 * count))

@@ -10,7 +10,7 @@ import numpy as np
 
 import clothgym as cg
 from clothgym import fidelity as fidelities
-from clothgym.arrays import FloatArray, check_number
+from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.detection.sides import Sides
 from clothgym.recording.frames import Camera
 from clothgym.scenes.layers import GAP, SIDE, draw_stack, stack_scene
@@ -173,6 +173,30 @@ class UntangleLayersEnv(ClothEnv):
         """(P,) share of wrong vertices for each pair of sheets."""
         x = np.array(self.simulation.positions)
         return np.array([s.error(x, r) for s, r in zip(self._sides, self._required, strict=True)])
+
+    @property
+    def edge(self) -> float:
+        """Rest length of an edge along the sheets' sides [m]."""
+        return self._edge
+
+    @property
+    def sheet_pairs(self) -> list[tuple[int, int]]:
+        """(lower, upper) of every two sheets."""
+        return list(self._pairs)
+
+    @property
+    def free_vertices(self) -> list[IntArray]:
+        """Of each sheet, the ids of the vertices that are not pinned."""
+        free = self.simulation.model.inverse_masses > 0.0
+        return [np.flatnonzero(free[r]) + r.start for r in self._ranges]
+
+    def wrong_vertices(self, lower: int, upper: int) -> tuple[IntArray, IntArray]:
+        """Ids of the vertices of two sheets that are on the wrong side of the other one: of the lower, of the upper."""
+        n = self._pairs.index((lower, upper))
+        wrong = self._sides[n].signs(np.array(self.simulation.positions)) * self._required[n] < 0.0
+        first, second = self._ranges[lower], self._ranges[upper]
+        count = first.stop - first.start
+        return np.flatnonzero(wrong[:count]) + first.start, np.flatnonzero(wrong[count:]) + second.start
 
     def _judge(self, action: FloatArray) -> tuple[dict[str, float], bool]:
         hits = self.simulation.last_intersections

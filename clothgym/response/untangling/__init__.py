@@ -9,12 +9,15 @@ from __future__ import annotations
 import importlib
 from typing import Protocol
 
+import numpy as np
+
+from clothgym.arrays import BoolArray, FloatArray
 from clothgym.response.untangling.base import Context, Corrections, displacements
 from clothgym.response.untangling.global_scheme import Global
 from clothgym.response.untangling.hybrid import Hybrid
 from clothgym.response.untangling.local import Local
 
-__all__ = ["STRATEGIES", "Context", "Corrections", "Strategy", "displacements", "get", "names"]
+__all__ = ["STRATEGIES", "Context", "Corrections", "Strategy", "answer", "displacements", "get", "names"]
 
 
 class Strategy(Protocol):
@@ -26,6 +29,35 @@ class Strategy(Protocol):
 
 
 STRATEGIES: dict[str, type] = {"local": Local, "global": Global, "hybrid": Hybrid}
+
+
+def answer(strategy: Strategy, context: Context) -> tuple[FloatArray, BoolArray | None]:
+    """A strategy's displacements (V, 3) and vertices to leave apart (V,), checked; fixed vertices do not move.
+
+    Numbers that are not finite pass: a run that they blow up reports it as it does any divergence.
+
+    Raises:
+        ValueError: names the strategy and what is wrong with its answer.
+    """
+    speaker = f"strategy {type(strategy).__name__}"
+    count = len(context.inverse_masses)
+    corrections = strategy.propose(context)
+    moves = getattr(corrections, "displacements", None)
+    if moves is None:
+        raise ValueError(f"{speaker}: propose must return Corrections, got {type(corrections).__name__}")
+    try:
+        displacements = np.array(moves, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{speaker}: displacements: {error}") from error
+    if displacements.shape != (count, 3):
+        raise ValueError(f"{speaker}: displacements: expected shape ({count}, 3), got {displacements.shape}")
+    displacements[context.inverse_masses == 0.0] = 0.0
+    apart = getattr(corrections, "apart", None)
+    if apart is not None:
+        apart = np.asarray(apart)
+        if apart.shape != (count,) or apart.dtype != np.bool_:
+            raise ValueError(f"{speaker}: apart: expected {count} booleans, got shape {apart.shape} of {apart.dtype}")
+    return displacements, apart
 
 
 def names() -> tuple[str, ...]:

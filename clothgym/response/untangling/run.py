@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from clothgym.arrays import FloatArray, check_number
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.detection.intersections import Intersections
-from clothgym.mesh import as_surface, vertex_areas
+from clothgym.mesh import Surface, as_surface, vertex_areas
 from clothgym.response import untangling
 from clothgym.response.untangling.base import Context
 
@@ -25,7 +25,7 @@ class UntangleResult:
 
     Attributes:
         vertices: (V, 3) [m]; the best state met: fewest hits, then least length.
-        length: contour length of that state [m]; length_history: before every pass and at the end.
+        length: contour length of that state [m]; length_history: before every pass, and at the end unless it exploded.
         hits: number of hits of that state; hit_history likewise.
         resolved: no hit is left.
         passes: corrections made.
@@ -73,6 +73,8 @@ def untangle(
     """
     x, surface = as_surface(vertices, faces)
     x = x.copy()
+    if surface.vertex_count != len(x):
+        surface = Surface(surface.given_faces, len(x))
     check_number(passes, "passes", 0, 1_000_000, integer=True)
     check_number(h0, "h0", 1e-6, 100.0)
     check_number(g0, "g0", 1e-9, 1e9)
@@ -110,8 +112,8 @@ def untangle(
         if chosen is None or done - best_pass >= _STALL_PASSES:
             reason = "stalled"
             break
-        moved = chosen.propose(Context(hits, inverse_masses, areas, h0 * mean_edge, g0)).displacements
-        x = x + relax(np.asarray(moved, float))
+        moved, _ = untangling.answer(chosen, Context(hits, inverse_masses, areas, h0 * mean_edge, g0))
+        x = x + relax(moved)
         done += 1
         if not np.isfinite(x).all() or float(np.abs(x - best_x).max()) > _EXPLOSION * max(extent, mean_edge):
             reason = "explosion"

@@ -181,7 +181,9 @@ def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 def smallest_altitudes(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(V,) least altitude [m] of the triangles with area at each vertex; infinite where there is none."""
-    longest = np.max([np.linalg.norm(vertices[faces[:, i]] - vertices[faces[:, i - 1]], axis=1) for i in range(3)], axis=0)
+    longest = np.max(
+        [np.linalg.norm(vertices[faces[:, i]] - vertices[faces[:, i - 1]], axis=1) for i in range(3)], axis=0
+    )
     altitude = np.divide(2.0 * face_areas(vertices, faces), longest, out=np.zeros_like(longest), where=longest > 0)
     altitude[altitude == 0.0] = np.inf  # a face without area bounds nothing
     least = np.full(len(vertices), np.inf)

@@ -58,7 +58,9 @@ class ClothModel:
             thickness.append(np.minimum(material.thickness, 0.5 * smallest_altitudes(cloth.rest, cloth.mesh.faces)))
             friction.append(material.friction)
             damping.append(material.damping)
-            ranges.append((cloth.name, slice(offset, offset + count), slice(face_offset, face_offset + len(cloth.mesh.faces))))
+            ranges.append(
+                (cloth.name, slice(offset, offset + count), slice(face_offset, face_offset + len(cloth.mesh.faces)))
+            )
             offset += count
             face_offset += len(cloth.mesh.faces)
         self.rest_vertices: FloatArray = np.concatenate(vertices)
@@ -107,7 +109,11 @@ def _springs(cloth: Cloth) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
     material, mesh = materials.get(cloth.material), cloth.mesh
     if mesh.quads is not None:
         groups = [
-            (STRUCTURAL, material.stretch, _unique(np.concatenate([mesh.quads[:, [i, (i + 1) % 4]] for i in range(4)]))),
+            (
+                STRUCTURAL,
+                material.stretch,
+                _unique(np.concatenate([mesh.quads[:, [i, (i + 1) % 4]] for i in range(4)])),
+            ),
             (SHEAR, material.shear, _unique(np.concatenate([mesh.quads[:, [0, 2]], mesh.quads[:, [1, 3]]]))),
             (FLEXION, material.flexion, _skip_one(mesh.quads)),
         ]

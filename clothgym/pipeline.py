@@ -18,7 +18,6 @@ from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
 from clothgym.state import ClothState
 
-
 SPEED_CAP = 1e4
 """Speeds above this [m/s] count as diverged."""
 
@@ -135,8 +134,14 @@ class _Wind:
             frame.external = np.zeros((frame.model.vertex_count, 3))
         state, model = frame.state, frame.model
         self.kernel(
-            state.positions, state.velocities, model.faces, model.inverse_masses, self.wind, self.drag,
-            model.scene.step, frame.external,
+            state.positions,
+            state.velocities,
+            model.faces,
+            model.inverse_masses,
+            self.wind,
+            self.drag,
+            model.scene.step,
+            frame.external,
         )
 
 
@@ -163,9 +168,7 @@ class _Step:
             self.label += f", velocity modification {fidelity.velocity_modification} above {self.limit:g}"
 
     def motion(self, frame: Frame) -> Motion:
-        return Motion(
-            self.dt, self.sweeps, self.gravity, self.damping, frame.external, self.limit, self.relative
-        )
+        return Motion(self.dt, self.sweeps, self.gravity, self.damping, frame.external, self.limit, self.relative)
 
 
 class _Integrate:
@@ -182,7 +185,13 @@ class _Integrate:
 
     def run(self, frame: Frame) -> None:
         s, state = self.step, frame.state
-        x, v, p, cloth, motion = state.positions, state.velocities, frame.predicted, frame.model.arrays, self.step.motion(frame)
+        x, v, p, cloth, motion = (
+            state.positions,
+            state.velocities,
+            frame.predicted,
+            frame.model.arrays,
+            self.step.motion(frame),
+        )
         if s.explicit:
             integrate.euler_substeps(x, v, p, s.forces, cloth, s.radii, motion, s.ground, frame.grips, 0, s.substeps)
         else:
@@ -227,7 +236,9 @@ class _Untangle:
         self.answer = untangling.answer
         self.strategy = untangling.get(fidelity.untangling)
         self.passes = fidelity.untangling_passes if self.strategy is not None else 0
-        self.name = f"intersections [untangle {fidelity.untangling} x{self.passes}, contact {fidelity.contacts_near_hits}]"
+        self.name = (
+            f"intersections [untangle {fidelity.untangling} x{self.passes}, contact {fidelity.contacts_near_hits}]"
+        )
         if self.strategy is None:
             self.writes = ("apart",)
         self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
@@ -307,7 +318,9 @@ class _ContactSubsteps:
     parts = ("predict", "find again", "closest points", "solve", "certify", "advance")
     _ATTEMPTS = 4
 
-    def __init__(self, step: _Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool) -> None:
+    def __init__(
+        self, step: _Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool
+    ) -> None:
         from clothgym.kernels import contact
         from clothgym.response.contact import ContactBuffers
 
@@ -328,9 +341,7 @@ class _ContactSubsteps:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         state, cloth = frame.state, frame.model.arrays
         if self.step.explicit:
-            integrate.euler_predict(
-                state.positions, state.velocities, frame.predicted, self.step.forces, cloth, motion
-            )
+            integrate.euler_predict(state.positions, state.velocities, frame.predicted, self.step.forces, cloth, motion)
         else:
             integrate.xpbd_predict(state.positions, state.velocities, frame.predicted, cloth, motion)
 
@@ -344,9 +355,7 @@ class _ContactSubsteps:
             self._predict(frame, motion)
             now = frame.clock(f"{self.name}: predict", now)
             done = n - base
-            late = done < horizon and (
-                found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon)
-            )
+            late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))
             if late or done >= horizon:
                 # what changes its mind is looked at again soon, what kept its course for twice as long
                 base, horizon = n, 1 if late else min(2 * horizon, s.substeps - n)

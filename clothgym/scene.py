@@ -49,7 +49,9 @@ class Cloth:
         elif isinstance(given, tuple | list) and len(given) == 2:
             vertices, faces = given
         else:
-            raise ValueError(f"cloth {self.name!r}: mesh: expected a Mesh, a trimesh or (vertices, faces), got {given!r}")
+            raise ValueError(
+                f"cloth {self.name!r}: mesh: expected a Mesh, a trimesh or (vertices, faces), got {given!r}"
+            )
         points = as_points(vertices, f"cloth {self.name!r}: vertices").copy()
         triangles = as_faces(faces, len(points), f"cloth {self.name!r}: faces").copy()
         if len(triangles) == 0:
@@ -215,6 +217,8 @@ class Scene:
         grip_fields = {f.name for f in dataclasses.fields(Grip)}
         for grip in values.get("grips", []):
             if set(grip) - grip_fields:
-                raise ValueError(f"grip.{min(set(grip) - grip_fields)}: unknown field; known: {', '.join(sorted(grip_fields))}")
+                raise ValueError(
+                    f"grip.{min(set(grip) - grip_fields)}: unknown field; known: {', '.join(sorted(grip_fields))}"
+                )
         values["grips"] = [Grip(**g) for g in values.get("grips", [])]
         return Scene(**values)

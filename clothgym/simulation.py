@@ -17,6 +17,7 @@ from clothgym.pipeline import Frame, Pipeline, assemble
 from clothgym.scene import Scene
 from clothgym.state import ClothState
 
+
 class Simulation:
     """A scene at a fidelity, in time.
 

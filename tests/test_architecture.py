@@ -88,7 +88,9 @@ def test_modules_import_from_floors_below(module):
         if target == "clothgym":
             assert own >= 9, f"{module} imports the whole package"
         elif target.startswith("clothgym."):
-            assert FLOOR_OF[unit(target)] <= own, f"{module} (floor {own}) imports {target} (floor {FLOOR_OF[unit(target)]})"
+            assert FLOOR_OF[unit(target)] <= own, (
+                f"{module} (floor {own}) imports {target} (floor {FLOOR_OF[unit(target)]})"
+            )
 
 
 def test_no_import_cycles():
@@ -132,13 +134,23 @@ def test_kernels_keep_to_scalar_code():
         for node in ast.walk(sources()[module]):
             if isinstance(node, ast.FunctionDef) and node.decorator_list:
                 for inner in ast.walk(node):
-                    if isinstance(inner, ast.Attribute) and isinstance(inner.value, ast.Name) and inner.value.id == "np":
+                    if (
+                        isinstance(inner, ast.Attribute)
+                        and isinstance(inner.value, ast.Name)
+                        and inner.value.id == "np"
+                    ):
                         assert inner.attr not in banned, f"{module}.{node.name} uses np.{inner.attr}"
 
 
 def test_nothing_here_knows_learning_or_viewers():
     for module in sources():
-        assert not outside(module) & {"gymnasium", "stable_baselines3", "torch", "clothgym_envs", "clothgym_baselines"}, module
+        assert not outside(module) & {
+            "gymnasium",
+            "stable_baselines3",
+            "torch",
+            "clothgym_envs",
+            "clothgym_baselines",
+        }, module
         if unit(module) != "recording":
             assert "rerun" not in outside(module), module
 
@@ -189,7 +201,9 @@ def test_the_label_tells_the_sweeps_that_contact_makes():
 
 @pytest.mark.parametrize("near", ["keep", "off_any"])
 @pytest.mark.parametrize("untangling", ["none", "hybrid"])
-@pytest.mark.parametrize("scene", [SHEET, PILE, dataclasses.replace(PILE, wind=(1.0, 0, 0))], ids=["sheet", "pile", "windy"])
+@pytest.mark.parametrize(
+    "scene", [SHEET, PILE, dataclasses.replace(PILE, wind=(1.0, 0, 0))], ids=["sheet", "pile", "windy"]
+)
 def test_every_array_read_was_written_before(scene, untangling, near):
     known = {"positions", "velocities"}
     fidelity = cg.Fidelity(untangling=untangling, contacts_near_hits=near)
@@ -231,13 +245,17 @@ def test_a_scene_without_collision_allocates_nothing_for_it():
         sim = cg.Simulation(SHEET, fidelity)
         sim.step(2)
         objects = reachable(sim)
-        assert not [o for o in objects if isinstance(o, Candidates | ContactBuffers) or "detection" in type(o).__module__]
+        assert not [
+            o for o in objects if isinstance(o, Candidates | ContactBuffers) or "detection" in type(o).__module__
+        ]
         ways = [a for a in objects if isinstance(a, np.ndarray) and a.shape == (sim.model.vertex_count, 3)]
         # rest, start (mesh and rest of the cloth), positions, velocities, predicted; forces with symplectic Euler only
         assert len(ways) <= 7 + (fidelity.integrator == "symplectic_euler")
     step = cg.Simulation(SHEET, cg.Fidelity()).pipeline.stages[0].step
     assert step.forces.size == 0 and step.multipliers.size > 0
-    assert any(isinstance(o, Candidates) for o in reachable(cg.Simulation(PILE, cg.Fidelity()))), "the walk finds nothing"
+    assert any(isinstance(o, Candidates) for o in reachable(cg.Simulation(PILE, cg.Fidelity()))), (
+        "the walk finds nothing"
+    )
 
 
 # ---------------------------------------------------------------------------------------------------------------

@@ -184,7 +184,9 @@ def test_no_pair_within_thickness_is_missing(tree, seed):
             off *= (candidates.slack * rng.choice([0.0, 1.0, 1.0], len(x)) / np.linalg.norm(off, axis=1))[:, None]
             now = x + time * travel + off
             assert not candidates.outdated(now - 1e-12 * off, time)
-            for kind, quads, distances in zip((0, 1), (points, lines), naive.quad_distances(now, points, lines), strict=True):
+            for kind, quads, distances in zip(
+                (0, 1), (points, lines), naive.quad_distances(now, points, lines), strict=True
+            ):
                 close = distances <= model.thickness[quads].min(axis=1)
                 near |= {normal_form(quad, kind) for quad in quads[close].tolist()}
     assert len(near) > 20
@@ -296,7 +298,9 @@ def test_certify_leaves_safe_paths_alone():
     quads, kinds = every_quad(model.faces)
     _, separation = narrowed(scene.start, p, quads, kinds, 0.01)
     before = p.copy()
-    result = kernels.certify(scene.start, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, 8)
+    result = kernels.certify(
+        scene.start, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, 8
+    )
     assert tuple(result) == (0, 0)
     assert (p == before).all()
 
@@ -321,7 +325,9 @@ def test_no_substep_of_a_violent_run_crosses(substeps, seed):
     rng = np.random.default_rng(seed)
     scene = stack(3, 3, pinned=(1,) if seed % 2 else (), friction=[0.0, 0.5][seed % 2],
                   thickness=[0.01, 3e-4][seed // 3], stretch=[1e4, 100.0, 1e5][seed % 3])  # fmt: skip
-    sim = cg.Simulation(scene, dataclasses.replace(CONTACT_ONLY, substeps=[1, 2, 8][seed % 3], repair_rounds=[8, 0][seed % 2]))
+    sim = cg.Simulation(
+        scene, dataclasses.replace(CONTACT_ONLY, substeps=[1, 2, 8][seed % 3], repair_rounds=[8, 0][seed % 2])
+    )
     both = naive.all_quads(sim.model.faces)
     free = (sim.model.inverse_masses > 0)[:, None]
     for speed in (5.0, 100.0):
@@ -392,7 +398,9 @@ def solved(x, p, w, thickness, friction, sweeps, quads=((0, 1, 2, 3),), kinds=(0
 FLOOR = np.array([[0.25, 0.06, 0.25], [0, 0, 0], [1, 0, 0], [0, 0, 1.0]])
 
 
-@pytest.mark.parametrize(("pull", "friction", "kept"), [(0.3, 0.0, 0.3), (0.3, 0.5, 0.3 - 0.5 * 0.09), (0.03, 0.5, 0.0)])
+@pytest.mark.parametrize(
+    ("pull", "friction", "kept"), [(0.3, 0.0, 0.3), (0.3, 0.5, 0.3 - 0.5 * 0.09), (0.03, 0.5, 0.0)]
+)
 def test_friction_of_one_contact_stays_in_its_cone(pull, friction, kept):
     """A vertex pressed 9 cm too deep onto an immovable triangle: it may hold back at most mu times that."""
     w = np.array([1.0, 0.0, 0.0, 0.0])
@@ -427,7 +435,9 @@ def test_contact_keeps_momentum_and_cones(seed):
 
 def test_contact_never_pulls():
     w = np.ones(4)
-    p = FLOOR + np.array([[0, 0.06, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])  # 12 cm apart: active, but further than the thickness
+    p = FLOOR + np.array(
+        [[0, 0.06, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]]
+    )  # 12 cm apart: active, but further than the thickness
     q, buffers = solved(FLOOR, p, w, 0.1, 0.5, 10)
     assert buffers.active == 1
     assert (q == p).all()

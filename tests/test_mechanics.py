@@ -30,7 +30,9 @@ def ladder(rungs: int, length: float = 1.0, top=(0, 1), stretched: float = 1.0, 
     mesh = cg.grid(0.1, length, 1, rungs)
     placed = (mesh.vertices @ UPRIGHT.T) * [1.0, stretched, 1.0]
     values = {"density": 0.2, "stretch": 50.0, "shear": 0.0, "flexion": 0.0, "damping": 0.0} | material
-    return cg.Cloth(cg.Mesh(placed, mesh.faces, mesh.quads), cg.Material(**values), top, mesh.vertices, equal_masses=True)
+    return cg.Cloth(
+        cg.Mesh(placed, mesh.faces, mesh.quads), cg.Material(**values), top, mesh.vertices, equal_masses=True
+    )
 
 
 def lone(cloth: cg.Cloth, **scene) -> cg.Scene:
@@ -139,7 +141,10 @@ def test_contact_thickness_never_exceeds_half_an_altitude():
 
 
 def test_two_cloths_keep_their_places():
-    one, two = cg.Cloth(cg.grid(1, 1, 2, 2), pins=(1,), name="one"), cg.Cloth(cg.grid(1, 1, 1, 3), pins=(0, 7), name="two")
+    one, two = (
+        cg.Cloth(cg.grid(1, 1, 2, 2), pins=(1,), name="one"),
+        cg.Cloth(cg.grid(1, 1, 1, 3), pins=(0, 7), name="two"),
+    )
     model = ClothModel(cg.Scene([one, two]))
     assert [r[0] for r in model.ranges] == ["one", "two"]
     assert np.flatnonzero(model.inverse_masses == 0).tolist() == [1, 9, 16]
@@ -242,7 +247,8 @@ def test_xpbd_column_approaches_the_same_elongation():
 
 
 @pytest.mark.parametrize(
-    ("structural", "shear", "flexion", "limit"), [(1, 0, 0, 1.0), (1, 1, 0, 0.707), (1, 1, 1, 0.629), (1, 0.5, 0.5, 0.8)]
+    ("structural", "shear", "flexion", "limit"),
+    [(1, 0, 0, 1.0), (1, 1, 0, 0.707), (1, 1, 1, 0.629), (1, 0.5, 0.5, 0.8)],
 )
 def test_stability_limit_of_grids(structural, shear, flexion, limit):
     """Table 4.1: the true limits in units of sqrt(m/K); the safe step lies below, the paper's bound far above."""
@@ -491,7 +497,9 @@ def test_strong_drag_brings_the_cloth_to_the_speed_of_the_wind():
         assert np.abs(sim.velocities).max() <= 4.0 * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("fidelity", [cg.Fidelity(), EULER, dataclasses.replace(EULER, velocity_modification="literal")])
+@pytest.mark.parametrize(
+    "fidelity", [cg.Fidelity(), EULER, dataclasses.replace(EULER, velocity_modification="literal")]
+)
 def test_pins_do_not_move(fidelity):
     scene = cg.scenes.make("hanging_sheet", resolution=6)
     scene = dataclasses.replace(scene, wind=(0.0, 3.0, 2.0))
@@ -503,7 +511,9 @@ def test_pins_do_not_move(fidelity):
     assert np.abs(sim.positions - scene.start).max() > 0.02
 
 
-@pytest.mark.parametrize("fidelity", [cg.Fidelity(), EULER, dataclasses.replace(EULER, velocity_modification="relative")])
+@pytest.mark.parametrize(
+    "fidelity", [cg.Fidelity(), EULER, dataclasses.replace(EULER, velocity_modification="relative")]
+)
 def test_pins_do_not_move_after_all_velocities_were_set(fidelity):
     sim = cg.Simulation(cg.scenes.make("hanging_sheet", resolution=6), fidelity)
     start = sim.positions[[0, 6]].copy()

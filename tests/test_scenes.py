@@ -53,7 +53,9 @@ def test_scenes_are_reproducible_round_trip_and_run(name):
     json.dumps(sim.metrics())
 
 
-@pytest.mark.parametrize("name", [n for n in cg.scenes.names() if "seed" in {p.name for p in cg.scenes.describe(n).parameters}])
+@pytest.mark.parametrize(
+    "name", [n for n in cg.scenes.names() if "seed" in {p.name for p in cg.scenes.describe(n).parameters}]
+)
 def test_seeds_change_the_scene(name):
     start = [cg.scenes.make(name, **SMALL.get(name, {}), seed=seed).start for seed in (0, 0, 1)]
     assert np.array_equal(start[0], start[1])
@@ -98,14 +100,21 @@ def test_squares_are_tangled_as_described():
 
 
 def test_pile_and_drop_start_clean():
-    for name, settings in (("pile", {}), ("pile", {"seed": 3, "gap": 0.005}), ("drop", {}), ("drop", {"resolution": 24})):
+    for name, settings in (
+        ("pile", {}),
+        ("pile", {"seed": 3, "gap": 0.005}),
+        ("drop", {}),
+        ("drop", {"resolution": 24}),
+    ):
         scene = cg.scenes.make(name, **settings)
         assert cg.intersections(scene.start, ClothModel(scene).faces).hit_count == 0
         assert scene.start[:, 1].min() > scene.ground
 
 
 def test_a_pile_of_three_falls_without_intersections():
-    sim = cg.Simulation(cg.scenes.make("pile", count=3), dataclasses.replace(cg.Fidelity.preset("draft"), untangling="none"))
+    sim = cg.Simulation(
+        cg.scenes.make("pile", count=3), dataclasses.replace(cg.Fidelity.preset("draft"), untangling="none")
+    )
     for _ in range(35):
         sim.step()
         assert sim.last_intersections.hit_count == 0

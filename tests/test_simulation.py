@@ -203,8 +203,12 @@ def test_metrics_of_a_known_state():
 
 def test_energy_of_an_undamped_swing_is_kept():
     scene = cg.scenes.make("hanging_sheet", resolution=6)
-    cloth = dataclasses.replace(scene.cloths[0], material=cg.Material(stretch=200.0, shear=50.0, flexion=0.0, damping=0.0))
-    sim = cg.Simulation(dataclasses.replace(scene, cloths=[cloth]), cg.Fidelity(integrator="symplectic_euler", substeps=400))
+    cloth = dataclasses.replace(
+        scene.cloths[0], material=cg.Material(stretch=200.0, shear=50.0, flexion=0.0, damping=0.0)
+    )
+    sim = cg.Simulation(
+        dataclasses.replace(scene, cloths=[cloth]), cg.Fidelity(integrator="symplectic_euler", substeps=400)
+    )
 
     def energy():
         found = sim.metrics()
@@ -424,7 +428,13 @@ def test_scene_round_trip_is_exact():
     one.step(5)
     two.step(5)
     assert one.state_hash() == two.state_hash()
-    for change in ({"ground": 0.1}, {"wind_drag": 0.2}, {"grips": ()}, {"cloths": scene.cloths[:2]}, {"self_collision": False}):
+    for change in (
+        {"ground": 0.1},
+        {"wind_drag": 0.2},
+        {"grips": ()},
+        {"cloths": scene.cloths[:2]},
+        {"self_collision": False},
+    ):
         assert dataclasses.replace(scene, **change) != scene
 
 
@@ -492,8 +502,6 @@ def test_pins_that_are_no_integers_are_named():
 
 # ---------------------------------------------------------------------------------------------------------------
 # no dead knobs
-
-
 
 
 def outcome(make, fidelity, speed: float = 0.0):

@@ -19,7 +19,10 @@ from clothgym.response.untangling import Context, Corrections
 
 BIBI = {"X": lambda: meshes.crossed_squares(0.3), "crossing": lambda: meshes.crossing_sheets(6, 2)}
 CLOSED = {"pyramid": lambda: meshes.pyramid_poke(0.15), "sphere": lambda: meshes.poked_sphere(2, 0.08)}
-RIBBON = {"straight": lambda: meshes.strip_through_plane(0.2, 0.0), "leaning": lambda: meshes.strip_through_plane(0.2, 0.3)}
+RIBBON = {
+    "straight": lambda: meshes.strip_through_plane(0.2, 0.0),
+    "leaning": lambda: meshes.strip_through_plane(0.2, 0.3),
+}
 
 
 def context_of(mesh, h0: float = 0.05, g0: float = 1.0, inverse_masses=None) -> Context:

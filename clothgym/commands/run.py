@@ -17,7 +17,7 @@ from clothgym.arrays import check_number
 from clothgym.benchmarks.report import Table, json_ready
 from clothgym.commands import JsonOption, Stopped, answer, ctrl_c_between_steps, progress_bar, reserved_stdout
 
-_HELP = """Simulates a ready scene (`clothgym scenes` lists them), a scene file (.json), or your own mesh, and prints its metrics.
+_HELP = """Simulates a ready scene (`clothgym scenes` lists them), a scene file (.json) or your own mesh; prints its metrics.
 
 A mesh (any format that trimesh reads, in metres, y up) falls on the ground under it, or hangs by its pins:
 `clothgym run towel.obj --set material=denim --set "pins=[0, 16]" --set ground=0.0`

@@ -7,7 +7,6 @@ import numpy as np
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.mesh import Surface
 
-
 _LARGEST = 10_000
 
 
@@ -18,7 +17,9 @@ class BruteForce:
         self.surface = surface
         count = len(surface.faces)
         if count > _LARGEST:
-            raise ValueError(f"fidelity.detection = 'brute_force': {count} faces make too many pairs; at most {_LARGEST}")
+            raise ValueError(
+                f"fidelity.detection = 'brute_force': {count} faces make too many pairs; at most {_LARGEST}"
+            )
         first, second = np.triu_indices(count, 1)
         self._pairs = np.stack([first, second], axis=1).astype(np.int32)
         self.box_tests = 0

@@ -52,7 +52,9 @@ def global_targets(totals, contour, sign, h0, g0, targets):
 
 
 @kernel
-def distribute(faces, edges, inverse_masses, hit_edge, hit_face, parameters, weights, targets, order, contour, cap, total):
+def distribute(
+    faces, edges, inverse_masses, hit_edge, hit_face, parameters, weights, targets, order, contour, cap, total
+):
     """Moves edges and faces so that each hit gets its relative displacement; linear and angular momentum are kept.
 
     dx_i = q_i c_i H / sum_j c_j^2 q_j with c = (1 - t, t, -w). The sum over a contour's hits is scaled as a whole so that

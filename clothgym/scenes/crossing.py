@@ -18,7 +18,9 @@ def squares(count: int = 25, seed: int = 0, box: float = 1.25, cells: int = _CEL
     rng = np.random.default_rng(seed)
     flat = grid(_SIDE, _SIDE, cells, cells)
     edge = _SIDE / cells
-    material = Material(density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge)
+    material = Material(
+        density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge
+    )
     cloths = []
     lowest = 0.0
     for number in range(count):
@@ -45,7 +47,9 @@ def pile(count: int = 25, seed: int = 0, gap: float = 0.02) -> Scene:
     rng = np.random.default_rng(seed)
     flat = grid(_SIDE, _SIDE, _CELLS, _CELLS)
     edge = _SIDE / _CELLS
-    material = Material(density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge)
+    material = Material(
+        density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge
+    )
     cloths = []
     for number in range(count):
         angle = rng.uniform(0.0, 2.0 * np.pi)

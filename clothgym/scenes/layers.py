@@ -35,13 +35,17 @@ def stack_scene(sheets: int = 2, vertices: int = 15, grips: int = 0) -> Scene:
     """A clean stack, aligned with the axes; the lowest sheet is pinned at two corners."""
     mesh = grid(SIDE, SIDE, vertices - 1, vertices - 1)
     edge = SIDE / (vertices - 1)
-    material = Material(density=0.15, stretch=2e3, shear=2e2, flexion=1.0, damping=4.0, friction=0.3, thickness=0.1 * edge)
+    material = Material(
+        density=0.15, stretch=2e3, shear=2e2, flexion=1.0, damping=4.0, friction=0.3, thickness=0.1 * edge
+    )
     cloths = []
     for k in range(sheets):
         placed = mesh.transformed(translation=(0.0, 0.5 * GAP + k * GAP, 0.0))
         pins = (0, vertices - 1) if k == 0 else ()
         cloths.append(Cloth(placed, material, pins, mesh.vertices, f"sheet {k}"))
-    return Scene(tuple(cloths), ground=0.0, grips=(Grip(radius=0.04, stiffness=200.0, slip_force=5.0),) * grips, name="layers")
+    return Scene(
+        tuple(cloths), ground=0.0, grips=(Grip(radius=0.04, stiffness=200.0, slip_force=5.0),) * grips, name="layers"
+    )
 
 
 def draw_stack(scene: Scene, rng: np.random.Generator) -> LayerStack:
@@ -113,7 +117,9 @@ def layers(sheets: int = 2, vertices: int = 15, seed: int = 0) -> Scene:
     stack = draw_stack(scene, np.random.default_rng(seed))
     size = vertices * vertices
     cloths = tuple(
-        Cloth(Mesh(stack.start[k * size : (k + 1) * size], c.mesh.faces, c.mesh.quads), c.material, c.pins, c.rest, c.name)
+        Cloth(
+            Mesh(stack.start[k * size : (k + 1) * size], c.mesh.faces, c.mesh.quads), c.material, c.pins, c.rest, c.name
+        )
         for k, c in enumerate(scene.cloths)
     )
     return Scene(cloths, ground=0.0, duration=3.0, name="layers")

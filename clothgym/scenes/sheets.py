@@ -30,8 +30,14 @@ def drop(resolution: int = 16, height: float = 0.6) -> Scene:
     rng = np.random.default_rng(1)
     # corner up: the diagonal stands upright
     c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
-    upright = np.stack([c * mesh.vertices[:, 0] - s * mesh.vertices[:, 2],
-                        s * mesh.vertices[:, 0] + c * mesh.vertices[:, 2], np.zeros(len(mesh.vertices))], axis=1)
+    upright = np.stack(
+        [
+            c * mesh.vertices[:, 0] - s * mesh.vertices[:, 2],
+            s * mesh.vertices[:, 0] + c * mesh.vertices[:, 2],
+            np.zeros(len(mesh.vertices)),
+        ],
+        axis=1,
+    )
     bulge = 0.05 * np.sin(5.0 * upright[:, 0]) * np.cos(4.0 * upright[:, 1])
     upright[:, 2] = bulge + 0.05 / resolution * rng.uniform(-1.0, 1.0, len(upright))
     upright[:, 1] += height + np.sqrt(0.5)

@@ -59,7 +59,7 @@ def check_number(value: Any, name: str, low: float, high: float, integer: bool =
     """
     kind = "an integer" if integer else "a number"
     is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not is_number or not np.isfinite(value) or (integer and int(value) != value):
+    if not is_number or (integer and not (np.isfinite(value) and int(value) == value)):
         raise ValueError(f"{name} = {value!r}: expected {kind} in [{low:g}, {high:g}]")
     if not low <= value <= high:
         raise ValueError(f"{name} = {value!r}: out of range [{low:g}, {high:g}]")

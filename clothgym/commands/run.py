@@ -42,7 +42,7 @@ def run(
     seconds: Annotated[
         float | None, typer.Option("--seconds", help="Simulated time [s]; default: as the scene says.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the scene, where it has one.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the scene, where it has one.")] = 0,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="FILE.rrd", help="Writes a rerun recording.", show_default=False)
     ] = None,

@@ -143,7 +143,7 @@ class PullApart(Puller):
     It has to happen close to the contour: only there does contact give way. Lifting alone would take both sheets along.
     """
 
-    lift, press, beside = 0.1, 0.05, 2.2
+    lift, press, beside = 0.16, 0.05, 2.2
     """Heights [m], and how far from the contour a vertex is taken, in edges."""
 
     def choose(self, info: dict[str, Any]) -> Pull | None:

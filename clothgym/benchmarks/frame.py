@@ -359,10 +359,9 @@ def _finished_rows(benchmark: Benchmark, heads: list[Row], jobs: int, backend: s
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)  # type: ignore[arg-type]
     calls = (joblib.delayed(run_case)(benchmark.run, benchmark.prepare, head, os.getpid()) for head in heads)
-    with warnings.catch_warnings():
-        # Ctrl-C has its own line; joblib would add two about the tasks that it cancelled
-        warnings.filterwarnings("ignore", message=".*tasks which were still being processed.*", category=UserWarning)
-        yield from parallel(calls)  # type: ignore[misc]
+    # Ctrl-C has its own line; joblib would add two about the tasks that it cancelled, sometimes only while it is collected
+    warnings.filterwarnings("ignore", message=".*tasks which were still being processed.*", category=UserWarning)
+    yield from parallel(calls)  # type: ignore[misc]
 
 
 def run_benchmark(

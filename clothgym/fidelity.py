@@ -44,7 +44,7 @@ class Fidelity:
         detection: "hierarchy" (k-DOP tree) or "brute_force".
         k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
         arity: children a node: 2, 4, 8.
-        repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.contact.certify`).
+        repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
         untangling_passes: corrections a step.
         h0: largest correction of a pass, in mean edge lengths [Volino 2006, eq. 5].

@@ -321,10 +321,11 @@ class _ContactSubsteps:
     def __init__(
         self, step: _Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool
     ) -> None:
-        from clothgym.kernels import contact
+        from clothgym.kernels import certificate, contact
         from clothgym.response.contact import ContactBuffers
 
-        self.step, self.candidates, self.apart, self.kernels = step, candidates, apart, contact
+        self.step, self.candidates, self.apart = step, candidates, apart
+        self.kernels, self.certify = contact, certificate.certify
         self.contacts = ContactBuffers(max(1024, len(model.faces)))
         self.spare = ContactBuffers(1024)  # looking again must not forget what pressed
         self.near = (
@@ -381,7 +382,7 @@ class _ContactSubsteps:
                     base, horizon, share = n, 1, 1.0
                     frame.count("rebuilds", 1)
                     now = frame.clock(f"{self.name}: find again", now)
-                repaired, zoned = self.kernels.certify(
+                repaired, zoned = self.certify(
                     x, p, model.inverse_masses, model.thickness, found.quads, found.kinds, found.count,
                     found.separation, self.rounds,
                 )  # fmt: skip

@@ -12,6 +12,7 @@ import pytest
 import clothgym as cg
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
+from clothgym.kernels import certificate
 from clothgym.kernels import contact as kernels
 from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
@@ -281,7 +282,7 @@ def test_certified_paths_never_cross(seed, rounds):
     assert naive.collisions(x, p, model.faces, quads=both), "nothing would cross: the test shows nothing"
     _, separation = narrowed(x, p, quads, kinds, model.thickness.min())
     before = p.copy()
-    kernels.certify(x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, rounds)
+    certificate.certify(x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, rounds)
     assert naive.collisions(x, p, model.faces, quads=both) == []
     for time in np.linspace(0, 1, 21):
         assert cg.intersections(x + time * (p - x), model.surface).hit_count == 0
@@ -298,7 +299,7 @@ def test_certify_leaves_safe_paths_alone():
     quads, kinds = every_quad(model.faces)
     _, separation = narrowed(scene.start, p, quads, kinds, 0.01)
     before = p.copy()
-    result = kernels.certify(
+    result = certificate.certify(
         scene.start, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, 8
     )
     assert tuple(result) == (0, 0)
@@ -314,7 +315,7 @@ def test_certify_alone_stops_one_vertex_at_one_triangle():
     for rounds in (0, 20):
         q = p.copy()
         _, separation = narrowed(x, q, quads, kinds, 0.1)
-        kernels.certify(x, q, w, np.full(4, 0.1), quads, kinds, 1, separation, rounds)
+        certificate.certify(x, q, w, np.full(4, 0.1), quads, kinds, 1, separation, rounds)
         assert q[0, 1] - q[1:, 1].max() >= 0.01 - 1e-12
         assert (q - p).T @ (1 / w) == pytest.approx(0.0, abs=1e-12)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.detection.hierarchy import Hierarchy
-from clothgym.kernels import contact as contact_kernels
 from clothgym.kernels import contour as contour_kernels
+from clothgym.kernels import proximity
 from clothgym.mesh import Surface, as_surface
 
 
@@ -283,7 +283,7 @@ def proximities(vertices: Any, faces: Any = None, distance: float | None = None)
     while True:
         quads, kinds = np.empty((capacity, 4), np.int32), np.empty(capacity, np.uint8)
         distances = np.empty(capacity)
-        found = contact_kernels.find_proximities(x, surface.arrays, distance, pairs, quads, kinds, distances)
+        found = proximity.find_proximities(x, surface.arrays, distance, pairs, quads, kinds, distances)
         if found <= capacity:
             break
         capacity = found

@@ -7,8 +7,7 @@ import numpy as np
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
-from clothgym.kernels import contact as kernels
-from clothgym.kernels import kdop
+from clothgym.kernels import contact, kdop, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.mesh import SurfaceArrays
 from clothgym.model import ClothModel
@@ -60,7 +59,7 @@ class Candidates:
     def gather(self) -> None:
         """Primitive pairs from the face pairs; buffers grow by counting."""
         while True:
-            found = kernels.gather_quads(
+            found = proximity.gather_quads(
                 self.start,
                 self.travel,
                 self.surface,
@@ -82,7 +81,7 @@ class Candidates:
 
     def outdated(self, x: FloatArray, share: float) -> bool:
         """Whether a vertex is further than its slack from start + share travel, so that pairs may be missing."""
-        return kernels.largest_deviation(x, self.start, self.travel, share, self.slack) > 0.0
+        return proximity.largest_deviation(x, self.start, self.travel, share, self.slack) > 0.0
 
 
 class ContactBuffers:
@@ -110,7 +109,7 @@ class ContactBuffers:
     ) -> None:
         """Closest points of all candidates at x, and which of them are active on the way to p."""
         while True:
-            active = kernels.narrow(
+            active = contact.narrow(
                 x,
                 p,
                 candidates.quads,

@@ -145,15 +145,16 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray]):
         if np.isnan(act).any():
             raise ValueError(f"action[{int(np.argmax(np.isnan(act)))}] is nan")
         act = np.clip(act, -1.0, 1.0)
-        before = self.simulation.snapshot()
+        before, forces = self.simulation.snapshot(), np.array(self.simulation.grip_forces)
         self.steps += 1
         try:
             self._act(act)
             self._failure = self._check()
-        except cg.SimulationError:
-            self._failure = 1
+        except cg.SimulationError as error:
+            self._failure = 2 if "speed" in error.quantity else 1
         if self._failure:
             self.simulation.restore(before)
+            self.simulation.set_grip_forces(forces)
             self._over = True
             floor = -(15.0 + self.worst_cost_per_step * (self.horizon - self.steps + 1))
             self.reward_terms = {name: 0.0 for name in self.reward_terms} | {"failure": floor}

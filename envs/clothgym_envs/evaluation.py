@@ -117,7 +117,9 @@ def score(env_id: str, level: str, fidelity: str | Fidelity, progress: float) ->
 # --- episodes -------------------------------------------------------------------------------------------------------
 
 
-def run_episode(env: Any, policy: policies.Policy, seed: int, after_step: Callable[[], None] = lambda: None) -> dict[str, Any]:
+def run_episode(
+    env: Any, policy: policies.Policy, seed: int, after_step: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
     """Plays one episode.
 
     Returns:
@@ -167,7 +169,9 @@ def evaluate(
     """
     chosen = [int(check_number(seed, "seed", 0, 2**63 - 1, integer=True)) for seed in seeds]
     if not chosen or len(set(chosen)) != len(chosen):
-        raise ValueError(f"seeds: expected at least one, each once, got {len(chosen)} with {len(set(chosen))} different")
+        raise ValueError(
+            f"seeds: expected at least one, each once, got {len(chosen)} with {len(set(chosen))} different"
+        )
     check_number(jobs, "jobs", 1, 1024, integer=True)
     maker = functools.partial(policies.get, env_id, policy) if isinstance(policy, str) else policy
     maker()  # a wrong name is told before anything is simulated
@@ -283,7 +287,9 @@ def _is_measure(name: str, value: Any) -> bool:
 
 def evaluate_command(
     env_id: Annotated[str, typer.Argument(metavar="ENV", help="An id such as clothgym/UntangleLayers-v0.")],
-    policy: Annotated[str, typer.Option("--policy", metavar="NAME", help="zero, random, or a scripted one of the task.")],
+    policy: Annotated[
+        str, typer.Option("--policy", metavar="NAME", help="zero, random, or a scripted one of the task.")
+    ],
     level: Annotated[str, typer.Option(help="easy, medium or hard.")] = "easy",
     fidelity: Annotated[str, typer.Option(help="draft, balanced or accurate.")] = "draft",
     episodes: Annotated[
@@ -343,7 +349,9 @@ def _evaluate_episodes(
             raise Stopped(f"stopped after {len(rows)} of {episodes} episodes{kept}") from None
     if out is not None:  # in the order of the seeds, whoever was first
         write_atomically(out, "".join(line(row) for row in result["rows"]).encode())
-    return setup | result | {"seconds": time.perf_counter() - started, "out": None if out is None else str(out)} | origin
+    return (
+        setup | result | {"seconds": time.perf_counter() - started, "out": None if out is None else str(out)} | origin
+    )
 
 
 def _refuse_file(policy: str, env_id: str) -> None:
@@ -364,7 +372,9 @@ def _result_table(document: dict[str, Any]) -> Table:
         ("score", document["score"]),
         ("seconds", document["seconds"]),
     ]
-    return Table(f"{document['policy']} on {document['env_id']}", ("what", "value"), rows, f"score: {document['score_note']}")
+    return Table(
+        f"{document['policy']} on {document['env_id']}", ("what", "value"), rows, f"score: {document['score_note']}"
+    )
 
 
 def _metrics_table(document: dict[str, Any]) -> Table:

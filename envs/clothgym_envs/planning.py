@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from clothgym.arrays import FloatArray, IntArray
-from clothgym_envs.policies import Pull, Puller, PullApart
+from clothgym_envs.policies import Pull, PullApart, Puller
 
 
 class CrossEntropy(Puller):
     """Chooses each pull by the cross-entropy method over whole pulls, tried out from the current state.
 
-    A pull is described by ten numbers: a place on the longest contour (2, in edges from the place that `PullApart` would take,
-    across the ground), and for each gripper the way it goes up, sideways and along (3) after closing, and how far into the wrong
-    region the vertex lies (1, in edges). The first candidate of every plan is the pull of `PullApart`, so a plan is never worse
-    than that, as far as the horizon of a pull shows. The best pull is carried out to its end, then it plans again.
+    Ten numbers describe a pull: a place (2, in edges from the middle of the longest contour, towards its wrong region and along
+    it), and for each gripper how far it goes up, towards and along after closing (3, [m]), and how far further into the wrong
+    region it takes its vertex (1, in edges). The first candidate of every plan is the pull of `PullApart`, so that no plan is
+    worse, as far as one pull shows. The best pull is carried out to its end, then it plans again.
 
     Budget a plan: `iterations` x `candidates` rollouts of at most `depth` steps. The value of a rollout is its return,
     less `step_cost` a step, plus `clean` when no hit is left at its end. Everything is drawn from the episode's seed.
@@ -54,7 +54,9 @@ class CrossEntropy(Puller):
                     pull = self._pull(values)
                 value = self._value(state, pull)
                 tried.append((value, len(tried), values, pull))
-            best = np.array([entry[2] for entry in sorted(tried, key=lambda entry: (-entry[0], entry[1]))[: self.elites]])
+            best = np.array(
+                [entry[2] for entry in sorted(tried, key=lambda entry: (-entry[0], entry[1]))[: self.elites]]
+            )
             mean, spread = best.mean(axis=0), np.maximum(best.std(axis=0), 0.25 * self.spread)
         return max(tried, key=lambda entry: (entry[0], -entry[1]))[3]
 
@@ -67,7 +69,9 @@ class CrossEntropy(Puller):
         contour = self._crossings()[0]
         on_top, buried = env.wrong_vertices(contour["lower"], contour["upper"])
         wrong = np.concatenate([on_top, buried])
-        across = (x[wrong].mean(axis=0) - contour["centroid"] if len(wrong) else np.zeros(3)) * np.array([1.0, 0.0, 1.0])
+        across = (x[wrong].mean(axis=0) - contour["centroid"] if len(wrong) else np.zeros(3)) * np.array(
+            [1.0, 0.0, 1.0]
+        )
         size = float(np.linalg.norm(across))
         across = across / size if size > 0.25 * env.edge else np.array([1.0, 0.0, 0.0])
         along = np.array([-across[2], 0.0, across[0]])

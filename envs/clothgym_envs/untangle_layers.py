@@ -27,6 +27,7 @@ SPEED = 0.25
 REACH = 0.04
 _WORKSPACE = np.array([[-0.5, 0.004, -0.5], [0.5, 0.6, 0.5]])
 _STRAIN_FREE = 0.15
+_CRUSHED = 0.5
 _PAIRS = [(i, j) for i in range(MAX_SHEETS) for j in range(i + 1, MAX_SHEETS)]
 
 
@@ -41,8 +42,8 @@ class UntangleLayersEnv(ClothEnv):
     through each other by their weight, but can be pulled apart.
 
     Reward: 10 x decrease of clip(L / L0, 0, 1); - 0.02 |a|^2; - 0.1 clip(strain - 0.15, 0, 1); at the end + 5 for success and
-    - 5 x side error. Success: no hits and strain at most 0.15 for 10 steps, at
-    most 1 % of the vertices of any two sheets on the wrong side of the other.
+    - 5 x side error. Success: no hits, strain at most 0.15 and no edge below half its rest length for 10 steps; at most 1 % of
+    the vertices of any two sheets on the wrong side of the other.
 
     Args:
         level: "easy" 2, "medium" 3, "hard" 5 sheets.
@@ -83,9 +84,7 @@ class UntangleLayersEnv(ClothEnv):
         self._clean_count = 0
         self._side_error = 0.0
         self._closed = np.zeros(GRIPS, np.bool_)
-        self.reward_terms = {
-            name: 0.0 for name in ("length", "action", "strain", "success", "side_error", "failure")
-        }
+        self.reward_terms = {name: 0.0 for name in ("length", "action", "strain", "success", "side_error", "failure")}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (4 * GRIPS,), np.float32)
         fields: list[tuple[str, int, str, float]] = []
         for g in range(GRIPS):
@@ -174,6 +173,13 @@ class UntangleLayersEnv(ClothEnv):
         x = np.array(self.simulation.positions)
         return np.array([s.error(x, r) for s, r in zip(self._sides, self._required, strict=True)])
 
+    def _shortest_edge(self) -> float:
+        """Least edge length / rest length."""
+        model, x = self.simulation.model, self.simulation.positions
+        ends, rest = model.surface.edges, model.edge_rest
+        lengths = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        return float((lengths[rest > 0] / rest[rest > 0]).min())
+
     @property
     def edge(self) -> float:
         """Rest length of an edge along the sheets' sides [m]."""
@@ -202,7 +208,9 @@ class UntangleLayersEnv(ClothEnv):
         hits = self.simulation.last_intersections
         before, now = self._length_share, min(hits.length / self._start_length, 1.0)
         self._length_share = now
-        clean = hits.hit_count == 0 and self._strain() <= _STRAIN_FREE  # pinched to a point is not untangled
+        # pinched or crushed to a point is not untangled
+        whole = self._strain() <= _STRAIN_FREE and self._shortest_edge() >= _CRUSHED
+        clean = hits.hit_count == 0 and whole
         self._clean_count = self._clean_count + 1 if clean else 0
         errors = self._side_errors()
         self._pair_errors = errors

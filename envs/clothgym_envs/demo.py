@@ -16,7 +16,7 @@ from clothgym.benchmarks.report import Page, Table
 from clothgym.commands import JsonOption, answer, progress_bar, reserved_stdout, say
 
 STRATEGIES = ("none", "local", "global", "hybrid")
-SQUARE_STEPS, SQUARE_FRAMES = 40, (0, 5, 15, 40)
+SQUARE_STEPS, SQUARE_FRAMES = 30, (0, 5, 12, 30)
 SHELL_STEPS, SHELL_FRAMES = 60, (0, 4, 12, 60)
 _ENV = "clothgym/UntangleLayers-v0"
 _SEED = 20_001
@@ -84,7 +84,7 @@ def _fidelity(strategy: str) -> cg.Fidelity:
 def _square_camera() -> Any:
     from clothgym.recording.frames import Camera
 
-    return Camera((1.9, 1.6, 2.6), (0.0, 0.45, 0.0))
+    return Camera((2.0, 1.6, 2.8), (0.0, 0.62, 0.0))
 
 
 def _watch(

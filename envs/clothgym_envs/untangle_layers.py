@@ -92,7 +92,7 @@ class UntangleLayersEnv(ClothEnv):
                 (f"gripper_{g}/position", 3, "m", 0.3),
                 (f"gripper_{g}/velocity", 3, "m/s", SPEED),
                 (f"gripper_{g}/holding", 1, "", 1.0),
-                (f"gripper_{g}/force", 3, "N", 1.0),
+                (f"gripper_{g}/force", 3, "N", 2.5),  # slips at 5 N, the bound
             ]
         for slot in range(SLOTS):
             fields += [

@@ -1,0 +1,694 @@
+"""Every environment: the interface, reproducibility, failures that never pay, success that cannot be cheated."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import itertools
+import math
+import pickle
+import subprocess
+import sys
+import warnings
+
+import clothgym_envs
+import gymnasium as gym
+import numpy as np
+import pytest
+from clothgym_envs import policies, untangle_layers
+from clothgym_envs.base import SPEED_CAP, STRAIN_CAP, TRAIN_SEEDS, ClothEnv
+from gymnasium.utils.env_checker import check_env
+
+import clothgym as cg
+
+IDS = tuple(clothgym_envs.ENVIRONMENTS)
+LEVELS = ("easy", "medium", "hard")
+LAYERS = "clothgym/UntangleLayers-v0"
+ALWAYS = {
+    "is_success": bool,
+    "progress": float,
+    "contour_length": float,
+    "contour_count": int,
+    "max_strain": float,
+    "penetration_depth": float,
+    "force_max": float,
+    "failure": int,
+}
+
+
+def kinds_of(env_id: str) -> list[str]:
+    """The kinds of observation that a task offers."""
+    offered = []
+    for kind in ("state", "points", "depth"):
+        with contextlib.suppress(ValueError):
+            gym.make(env_id, obs=kind).close()
+            offered.append(kind)
+    assert "state" in offered
+    return offered
+
+
+CASES = [(env_id, level, obs) for env_id in IDS for level in LEVELS for obs in kinds_of(env_id)]
+_made: dict[tuple[str, ...], ClothEnv] = {}
+
+
+def shared(env_id: str, level: str = "easy", obs: str = "state") -> ClothEnv:
+    """One environment for all tests that leave nothing behind but an episode."""
+    if (env_id, level, obs) not in _made:
+        _made[env_id, level, obs] = gym.make(env_id, level=level, obs=obs).unwrapped
+    return _made[env_id, level, obs]
+
+
+@pytest.fixture(params=IDS)
+def env(request) -> ClothEnv:
+    return shared(request.param)
+
+
+@pytest.fixture
+def layers() -> ClothEnv:
+    return shared(LAYERS)
+
+
+@pytest.fixture(scope="session", params=IDS)
+def idle(request) -> tuple[ClothEnv, list[tuple]]:
+    """An episode in which nothing is done: its first answer (observation, info), then those of every step."""
+    env = gym.make(request.param).unwrapped
+    answers = [env.reset(seed=4)]
+    while True:
+        answers.append(env.step(np.zeros(env.action_space.shape, np.float32)))
+        if answers[-1][2] or answers[-1][3]:
+            return env, answers
+
+
+def random_actions(env: ClothEnv, count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (count, *env.action_space.shape)).astype(np.float32)
+
+
+def play(env: ClothEnv, actions: np.ndarray) -> list[tuple]:
+    """Everything that can be told about each step, to the bit."""
+    told = []
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        told.append(
+            (observation.tobytes(), reward.hex(), terminated, truncated, bits(info), env.simulation.state_hash())
+        )
+    return told
+
+
+def bits(info: dict) -> dict:
+    return {name: value.hex() if isinstance(value, float) else value for name, value in info.items()}
+
+
+def begin(env: ClothEnv, seed: int) -> tuple:
+    observation, info = env.reset(seed=seed)
+    return observation.tobytes(), bits(info), env.simulation.state_hash()
+
+
+def in_contact(env: ClothEnv, seed: int = 5) -> None:
+    """An episode under way: grippers hold cloth, sheets touch."""
+    env.reset(seed=seed)
+    actions = random_actions(env, 8, seed)
+    if env.spec is None or "Layers" in type(env).__name__:
+        actions[:, 1::4] = -1.0  # down to the cloth, and closed
+        actions[:, 3::4] = 1.0
+    play(env, actions)
+
+
+# the interface
+
+
+@pytest.mark.parametrize(("env_id", "level", "obs"), CASES)
+def test_checker_of_gymnasium(env_id, level, obs):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(shared(env_id, level, obs), skip_render_check=level != "easy")
+
+
+@pytest.mark.parametrize(("env_id", "level", "obs"), CASES)
+def test_checker_of_stable_baselines(env_id, level, obs):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(shared(env_id, level, obs))
+
+
+@pytest.mark.parametrize(("env_id", "level", "obs"), CASES)
+def test_spaces_are_finite_boxes(env_id, level, obs):
+    env = shared(env_id, level, obs)
+    assert np.isfinite(env.observation_space.low).all()
+    assert np.isfinite(env.observation_space.high).all()
+    assert env.observation_space.dtype == np.float32
+    assert (env.action_space.low == -1.0).all()
+    assert (env.action_space.high == 1.0).all()
+
+
+@pytest.mark.parametrize(("env_id", "level", "obs"), CASES)
+def test_plain_types_and_the_same_info_at_every_step(env_id, level, obs):
+    env = shared(env_id, level, obs)
+    observation, first = env.reset(seed=1)
+    types = {name: type(value) for name, value in first.items()}
+    assert {name: types.get(name) for name in ALWAYS} == ALWAYS
+    assert types["episode_seed"] is int
+    assert any(name.startswith("reward/") for name in types)
+    for action in random_actions(env, 4):
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert (type(reward), type(terminated), type(truncated)) == (float, bool, bool)
+        assert {name: type(value) for name, value in info.items()} == types
+        assert all(math.isfinite(value) for value in info.values())
+        assert 0.0 <= info["progress"] <= 1.0
+        assert env.observation_space.contains(observation)
+
+
+def test_what_is_unknown_is_refused():
+    for env_id in IDS:
+        for wrong, text in (
+            ({"level": "extreme"}, "level = 'extreme'"),
+            ({"obs": "pixels"}, "obs = 'pixels'"),
+            ({"fidelity": "best"}, "fidelity = 'best'"),
+            ({"render_mode": "human_eye"}, "render_mode = 'human_eye'"),
+        ):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # gymnasium warns of the render mode as well
+                with pytest.raises(ValueError, match=text):
+                    gym.make(env_id, **wrong)
+    with pytest.raises(ValueError, match="vertices = 3: out of range"):
+        gym.make(LAYERS, vertices=3)
+
+
+def test_options_are_checked(layers):
+    with pytest.raises(ValueError, match="options\\['wind'\\]"):
+        layers.reset(seed=0, options={"wind": 3})
+    layers.reset(seed=0, options={})
+
+
+def test_a_fidelity_of_ones_own():
+    rough = cg.Fidelity(substeps=2, sweeps=2)
+    env = gym.make(LAYERS, fidelity=rough, vertices=7).unwrapped
+    assert env.simulation.pipeline.substeps == 2
+    assert env.simulation.fidelity.untangling == "none", "the hand untangles, not the simulator"
+
+
+def test_names_cover_the_observation(env):
+    observation, _ = env.reset(seed=2)
+    covered = np.zeros(len(observation), int)
+    for field in env.obs_layout.values():
+        covered[field.slice] += 1
+        assert field.scale > 0.0
+        assert isinstance(field.unit, str)
+    assert (covered == 1).all()
+
+
+def test_named_values_are_true(layers):
+    in_contact(layers)
+    observation, _, _, _, info = layers.step(np.full(8, 0.1, np.float32))
+    sim = layers.simulation
+
+    def seen(name: str) -> np.ndarray:
+        field = layers.obs_layout[name]
+        return observation[field.slice].astype(float) * field.scale
+
+    for g in range(2):
+        assert seen(f"gripper_{g}/position") == pytest.approx(sim.grip_positions[g], abs=1e-6)
+        assert seen(f"gripper_{g}/force") == pytest.approx(sim.grip_forces[g], abs=1e-6), "up to the slip force"
+        assert seen(f"gripper_{g}/holding")[0] == float(len(sim.held(g)) > 0)
+    assert seen("gripper_0/velocity") == pytest.approx([0.025, 0.025, 0.025], abs=1e-6)
+    assert seen("length")[0] == pytest.approx(sim.last_intersections.length / layers._start_length, rel=1e-5)
+    assert seen("max_strain")[0] == pytest.approx(info["max_strain"], abs=1e-6)
+    middle = sim.positions[layers._ranges[1]].mean(axis=0)
+    assert seen("centroids")[3:6] == pytest.approx(middle, abs=1e-6)
+    assert seen("time_left")[0] == pytest.approx(1.0 - 9 / layers.horizon)
+    assert seen("contour_0/length")[0] == pytest.approx(
+        layers.longest_contours()[0]["length"] / layers._start_length, rel=1e-5
+    )
+
+
+# actions
+
+
+def test_actions_that_cannot_be_done(env):
+    env.reset(seed=0)
+    before = env.simulation.state_hash()
+    good = np.zeros(env.action_space.shape)
+    with pytest.raises(ValueError, match="expected shape"):
+        env.step(good[:-1])
+    with pytest.raises(ValueError, match="expected shape"):
+        env.step(good[None])
+    bad = good.copy()
+    bad[1] = np.nan
+    with pytest.raises(ValueError, match="action\\[1\\] is nan"):
+        env.step(bad)
+    assert env.simulation.state_hash() == before
+    assert env.steps == 0
+
+
+def test_actions_out_of_range_are_clipped(env):
+    wild = random_actions(env, 1)[0] * 7.0
+    wild[0] = np.inf
+    env.reset(seed=3)
+    there = play(env, wild[None])
+    env.reset(seed=3)
+    assert play(env, np.clip(wild, -1.0, 1.0)[None]) == there
+
+
+def test_no_step_before_the_first_reset(env):
+    fresh = type(env)()
+    with pytest.raises(RuntimeError, match="call reset first"):
+        fresh.step(np.zeros(fresh.action_space.shape))
+
+
+# reproducibility
+
+
+def test_same_seed_same_bits(env):
+    actions = random_actions(env, 6)
+    one = (begin(env, 11), play(env, actions))
+    begin(env, 12)
+    play(env, actions[:3])
+    assert (begin(env, 11), play(env, actions)) == one
+    assert begin(env, 12) != one[0]
+
+
+def test_many_resets_are_as_one(env):
+    fresh = type(env)()
+    actions = random_actions(env, 3)
+    once = begin(fresh, 21)
+    for number in range(20):
+        begin(env, 21 if number % 2 else 100 + number)
+        if number % 5 == 0:
+            play(env, actions[:1])
+    assert begin(env, 21) == once
+    assert play(env, actions) == play(fresh, actions)
+
+
+def test_without_a_seed_an_episode_can_be_repeated(env):
+    env.reset(seed=77)
+    drawn = [env.reset()[1]["episode_seed"] for _ in range(5)]
+    env.reset(seed=77)
+    assert [env.reset()[1]["episode_seed"] for _ in range(5)] == drawn
+    assert len(set(drawn)) == 5
+    assert all(seed in TRAIN_SEEDS for seed in drawn)
+    observation, info = env.reset()
+    state = env.simulation.state_hash()
+    again, _ = env.reset(seed=info["episode_seed"])
+    assert env.simulation.state_hash() == state
+    assert again.tobytes() == observation.tobytes()
+
+
+def test_a_state_continues_to_the_bit(env):
+    in_contact(env)
+    actions = random_actions(env, 5, 1)
+    state = env.get_state()
+    onwards = play(env, actions)
+    env.reset(seed=123)
+    play(env, actions[:2])
+    for _ in range(2):  # a state can be used more than once
+        env.set_state(state)
+        assert play(env, actions) == onwards
+
+
+def test_a_state_half_way_to_success_continues_to_the_bit(layers):
+    observation, info = layers.reset(seed=1)
+    policy = policies.get(LAYERS, "pull_apart")
+    policy.reset(layers)
+    while info["clean_steps"] < 3:  # counters and potential are no longer those of the start
+        observation, _, _, _, info = layers.step(policy.act(observation, info))
+    state, nothing = layers.get_state(), np.zeros((7, 8))
+    onwards = play(layers, nothing)
+    assert onwards[-1][2], "ends in success"
+    layers.reset(seed=2)
+    layers.set_state(state)
+    assert play(layers, nothing) == onwards
+
+
+def test_a_state_moves_to_another_environment(env):
+    in_contact(env)
+    other = type(env)()
+    other.reset(seed=0)
+    other.set_state(env.get_state())
+    assert other._info(False) == env._info(False), "what was measured in the last step comes along"
+    assert (other.layout.pack(other._values()) == env.layout.pack(env._values())).all()
+    actions = random_actions(env, 3, 2)
+    assert play(other, actions) == play(env, actions)
+
+
+@pytest.mark.parametrize(
+    "duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"]
+)
+def test_a_copy_continues_to_the_bit(env, duplicate):
+    in_contact(env)
+    twin = duplicate(env)
+    actions = random_actions(env, 4, 3)
+    assert play(twin, actions) == play(env, actions)
+    assert begin(twin, 8) == begin(env, 8)
+    assert twin.reset()[1]["episode_seed"] == env.reset()[1]["episode_seed"]
+
+
+def test_grasps_are_under_way_in_these_tests(layers):
+    in_contact(layers)
+    assert len(layers.simulation.held(0)) > 1
+    assert layers.simulation.last_intersections.hit_count > 0
+    assert np.abs(layers.simulation.grip_forces).max() > 1e-3
+
+
+# reward and end
+
+
+def test_terms_add_up_to_the_reward(env):
+    env.reset(seed=6)
+    for action in random_actions(env, 5):
+        _, reward, _, _, info = env.step(action)
+        assert reward == pytest.approx(sum(v for name, v in info.items() if name.startswith("reward/")), abs=1e-12)
+
+
+def test_time_runs_out_at_the_horizon(idle):
+    env, answers = idle
+    assert len(answers) == env.horizon + 1
+    assert [a[2] or a[3] for a in answers[1:-1]] == [False] * (env.horizon - 1)
+    assert answers[-1][2:4] == (False, True)
+    assert answers[-1][4]["is_success"] is False
+    with pytest.raises(RuntimeError, match="the episode is over"):
+        env.step(np.zeros(env.action_space.shape))
+
+
+def test_the_potential_telescopes(idle):
+    env, answers = idle
+    if not isinstance(env, type(shared(LAYERS))):
+        pytest.skip("another potential")
+    gained = sum(answer[4]["reward/length"] for answer in answers[1:])
+    share = min(answers[-1][4]["contour_length"] / answers[0][1]["contour_length"], 1.0)
+    assert gained == pytest.approx(10.0 * (1.0 - share), abs=1e-9)
+
+
+def test_no_failure_beats_doing_nothing(idle):
+    env, answers = idle
+    rewards = np.array([answer[1] for answer in answers[1:]])
+    for failed_at in range(1, env.horizon + 1):
+        floor = -(15.0 + env.worst_cost_per_step * (env.horizon - failed_at + 1))
+        assert floor < rewards[failed_at - 1 :].sum(), f"failing at step {failed_at} would pay"
+
+
+@pytest.mark.parametrize("kind", ["diverged", "raced", "speed", "strain"])
+def test_a_failure_ends_at_the_last_good_state(env, kind, monkeypatch):
+    in_contact(env)
+    keys = set(env.reset(seed=5)[1])
+    in_contact(env)
+    before, held, forces = (
+        env.simulation.state_hash(),
+        env.simulation.held(0).tolist(),
+        env.simulation.grip_forces.copy(),
+    )
+    steps, code = env.steps, {"diverged": 1, "raced": 2, "speed": 2, "strain": 3}[kind]
+    step = env.simulation.step
+
+    def breaking(*_):
+        step()  # something has been simulated before it breaks
+        quantity = "positions are no longer finite" if kind == "diverged" else "a speed of 2e+04 m/s passed the cap"
+        raise cg.SimulationError("solve", quantity, 0.0, "")
+
+    if kind in ("diverged", "raced"):
+        monkeypatch.setattr(env.simulation, "step", breaking)
+    elif kind == "speed":
+        velocities = np.zeros((env.simulation.model.vertex_count, 3))
+        velocities[-5:, 1] = 1e3
+        monkeypatch.setattr(env, "_act", lambda action: env.simulation.set_velocities(velocities))
+        assert np.abs(velocities).max() > SPEED_CAP
+    else:
+        points = np.array(env.simulation.positions)
+        points[-1] += STRAIN_CAP
+        monkeypatch.setattr(env, "_act", lambda action: env.simulation.set_positions(points))
+    observation, reward, terminated, truncated, info = env.step(random_actions(env, 1)[0])
+    assert (terminated, truncated) == (True, False)
+    assert info["failure"] == code
+    assert info["is_success"] is False
+    assert reward == -(15.0 + env.worst_cost_per_step * (env.horizon - steps))
+    assert reward == info["reward/failure"] == sum(v for name, v in info.items() if name.startswith("reward/"))
+    assert set(info) == keys
+    assert all(math.isfinite(value) for value in info.values())
+    assert env.observation_space.contains(observation)
+    assert env.simulation.state_hash() == before
+    assert env.simulation.held(0).tolist() == held
+    assert (env.simulation.grip_forces == forces).all()
+    with pytest.raises(RuntimeError, match="the episode is over"):
+        env.step(np.zeros(env.action_space.shape))
+    monkeypatch.undo()
+    assert env.reset(seed=1)[1]["failure"] == 0
+
+
+def test_a_real_divergence_is_a_failure(env):
+    """No fakes: a cloth that is shot away."""
+    env.reset(seed=2)
+    velocities = np.zeros((env.simulation.model.vertex_count, 3))
+    velocities[env.simulation.cloth_ranges[-1][1], 1] = 1e3
+    env.simulation.set_velocities(velocities)
+    _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
+    assert terminated
+    assert info["failure"] in (2, 3)
+    assert reward < -15.0
+
+
+# UntangleLayers: what counts
+
+
+def settled(env: ClothEnv, positions: np.ndarray, steps: int, monkeypatch=None) -> dict:
+    """Puts the cloth somewhere and waits; with monkeypatch nothing moves meanwhile."""
+    env.simulation.set_positions(positions)
+    if monkeypatch is not None:
+        monkeypatch.setattr(env, "_act", lambda action: None)
+    for _ in range(steps):
+        _, _, terminated, _, info = env.step(np.zeros(8))
+        if terminated:
+            break
+    return info
+
+
+def test_the_clean_stack_is_a_success(layers):
+    layers.reset(seed=1)
+    info = settled(layers, layers._clean, 12)
+    assert info["is_success"]
+    assert info["progress"] == 1.0
+    assert info["clean_steps"] == 10
+    assert info["reward/success"] == 5.0
+
+
+def test_the_wrong_order_is_no_success(layers):
+    layers.reset(seed=1)
+    swapped = layers._clean.copy()
+    swapped[layers._ranges[0], 1] += 0.03  # the lower sheet is on top now
+    swapped[layers._ranges[1], 1] -= 0.01
+    info = settled(layers, swapped, 14)
+    assert info["hits"] == 0
+    assert info["clean_steps"] == 14
+    assert info["side_error"] > 0.5
+    assert not info["is_success"]
+    assert info["progress"] < 0.5
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-6, 0.3, 1.3])
+def test_a_crushed_or_stretched_sheet_is_no_success(layers, size, monkeypatch):
+    layers.reset(seed=1)
+    positions, sheet = layers._clean.copy(), layers._ranges[1]
+    middle = positions[sheet].mean(axis=0)
+    positions[sheet] = middle + [0.0, 0.05, 0.0] + size * (positions[sheet] - middle)
+    info = settled(layers, positions, 14, monkeypatch)
+    assert info["hits"] == 0
+    assert info["side_error"] == 0.0
+    assert not info["is_success"]
+    assert info["clean_steps"] == 0
+
+
+def test_a_pinched_contour_is_no_success(layers, monkeypatch):
+    _, start = layers.reset(seed=1)
+    hits = layers.simulation.last_intersections
+    around = np.unique(
+        np.concatenate([hits.surface.edges[hits.hit_edge].ravel(), hits.surface.faces[hits.hit_face].ravel()])
+    )
+    positions = np.array(layers.simulation.positions)
+    positions[around] = positions[around].mean(axis=0) + 1e-4 * (positions[around] - positions[around].mean(axis=0))
+    info = settled(layers, positions, 14, monkeypatch)
+    assert info["contour_length"] < 1e-3 * start["contour_length"], "the length alone can be pinched away"
+    assert not info["is_success"]
+
+
+def test_doing_nothing_untangles_nothing(layers):
+    for seed in range(20_000, 20_010):
+        _, start = layers.reset(seed=seed)
+        for _ in range(15):
+            _, _, terminated, _, info = layers.step(np.zeros(8))
+            assert not terminated
+            assert info["hits"] > 0
+        assert info["contour_length"] > 0.7 * start["contour_length"]
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_every_start_is_tangled_and_known(level):
+    env = shared(LAYERS, level)
+    for seed in range(4):
+        _, info = env.reset(seed=seed)
+        assert info["contour_length"] > 2.0 * env.edge
+        assert info["side_error"] > 0.01
+        assert not info["is_success"]
+        assert cg.intersections(env._clean, env.simulation.faces).hit_count == 0
+        assert env._start_length == pytest.approx(info["contour_length"])
+
+
+def test_wrong_vertices_are_those_that_went_through(layers):
+    layers.reset(seed=1)
+    below, above = layers.wrong_vertices(0, 1)
+    first, second = layers._ranges
+    assert ((below >= first.start) & (below < first.stop)).all()
+    assert ((above >= second.start) & (above < second.stop)).all()
+    moved = np.abs(np.array(layers.simulation.positions) - layers._clean)[:, 1]
+    assert moved[above].min() > 0.1 * moved.max(), "none of them was left where it was"
+    assert len(above) > 3
+
+
+def test_a_gripper_reads_the_weight_it_carries(layers, monkeypatch):
+    monkeypatch.setattr(untangle_layers, "CLEAN_STEPS", 1000)  # the episode goes on
+    layers.reset(seed=1)
+    sim, sheet = layers.simulation, layers._ranges[1]
+    positions = layers._clean.copy()
+    positions[sheet, 1] += 0.45
+    sim.set_positions(positions)
+    centre = sheet.start + 7 * 15 + 7
+    sim.place_grip(0, positions[centre])
+    action = np.array([0, 0, 0, 1, 0, 0, 0, -1], float)
+    read = []
+    for _ in range(95):
+        observation, _, terminated, truncated, info = layers.step(action)
+        assert not (terminated or truncated)
+        field = layers.obs_layout["gripper_0/force"]
+        read.append(observation[field.slice] * field.scale)
+    assert sim.positions[sheet, 1].min() > 0.05, "it hangs free"
+    weight = 9.81 * sim.model.masses[sheet].sum()
+    mean = np.mean(read[-20:], axis=0)
+    assert mean[1] == pytest.approx(weight, rel=0.01)
+    assert np.abs(mean[[0, 2]]).max() < 0.01 * weight
+    assert info["force_max"] == pytest.approx(weight, rel=0.02)
+
+
+def test_grippers_stay_in_their_workspace(layers):
+    layers.reset(seed=1)
+    for _ in range(6):
+        layers.step(np.array([0, -1, 0, -1, 0, -1, 0, -1]))
+    for _ in range(6):
+        layers.step(np.array([0, -1, 0, -1, 0, -1, 0, -1]))
+    assert layers.gripper_positions[:, 1] == pytest.approx([0.004, 0.004])
+
+
+# pictures
+
+
+def test_pictures(env):
+    picture_maker = gym.make(
+        next(i for i in IDS if clothgym_envs.ENVIRONMENTS[i].endswith(type(env).__name__)), render_mode="rgb_array"
+    )
+    picture_maker.reset(seed=1)
+    base = picture_maker.unwrapped
+    before = base.simulation.state_hash()
+    picture = picture_maker.render()
+    assert picture.shape == (256, 256, 3)
+    assert picture.dtype == np.uint8
+    assert picture.reshape(-1, 3).std(axis=0).min() > 5.0
+    assert base.simulation.state_hash() == before
+    assert (picture_maker.render() == picture).all()
+    shifted = np.array(base.simulation.positions)
+    shifted[:, 1] += 0.1
+    base.simulation.set_positions(shifted)
+    assert (picture_maker.render() != picture).mean() > 0.02
+    base.render_mode = "depth_array"
+    depth = base.render()
+    assert depth.shape == (256, 256)
+    assert depth.dtype == np.uint8
+    assert len(np.unique(depth)) > 10
+
+
+def test_pictures_need_a_mode(env):
+    assert env.render_mode is None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert env.render() is None
+    assert any("render_mode" in str(w.message) for w in caught)
+
+
+def test_frames_a_second_follow_from_the_control_period(env):
+    assert env.metadata["render_fps"] == round(1.0 / env.control_period)
+    assert "human" not in env.metadata["render_modes"]
+
+
+# other processes
+
+
+def test_a_child_makes_it_without_the_import(tmp_path):
+    code = (
+        "import gymnasium, sys\n"
+        f"env = gymnasium.make('clothgym_envs:{LAYERS}', vertices=7)\n"
+        "env.reset(seed=3)\n"
+        "print(env.unwrapped.simulation.state_hash())\n"
+        "assert 'stable_baselines3' not in sys.modules and 'rerun' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    here = gym.make(LAYERS, vertices=7)
+    here.reset(seed=3)
+    assert done.stdout.strip() == here.unwrapped.simulation.state_hash()
+
+
+def reference_run(seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Observations and rewards (steps, environments, ...) of single environments."""
+    observations, rewards = [], []
+    for number, seed in enumerate(seeds):
+        env = gym.make(LAYERS, vertices=7)
+        env.reset(seed=seed)
+        told = [env.step(action) for action in actions[:, number]]
+        observations.append([t[0] for t in told])
+        rewards.append([t[1] for t in told])
+    return np.swapaxes(observations, 0, 1), np.swapaxes(rewards, 0, 1)
+
+
+def make_layers() -> gym.Env:
+    return gym.make(f"clothgym_envs:{LAYERS}", vertices=7)
+
+
+@pytest.fixture
+def importable(monkeypatch):
+    """Spawned children import this file by its name."""
+    import os
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+
+
+def test_gymnasium_vectors_in_spawned_processes(importable):
+    actions = np.random.default_rng(0).uniform(-1, 1, (3, 2, 8)).astype(np.float32)
+    vector = gym.vector.AsyncVectorEnv([make_layers, make_layers], context="spawn")
+    try:
+        vector.reset(seed=[5, 6])
+        told = [vector.step(action) for action in actions]
+    finally:
+        vector.close()
+    observations, rewards = reference_run([5, 6], actions)
+    assert (np.array([t[0] for t in told]) == observations).all()
+    assert (np.array([t[1] for t in told]) == rewards).all()
+    assert all("max_strain" in t[4] for t in told)
+
+
+def test_stable_baselines_vectors_in_spawned_processes(importable):
+    vectors = pytest.importorskip("stable_baselines3.common.vec_env")
+    actions = np.random.default_rng(1).uniform(-1, 1, (3, 2, 8)).astype(np.float32)
+    vector = vectors.SubprocVecEnv([make_layers, make_layers], start_method="spawn")
+    try:
+        vector.seed(9)
+        vector.reset()
+        told = [vector.step(action) for action in actions]
+    finally:
+        vector.close()
+    observations, rewards = reference_run([9, 10], actions)
+    assert (np.array([t[0] for t in told]) == observations).all()
+    assert (np.array([t[1] for t in told]) == rewards).all()
+
+
+def test_ids_are_registered_once():
+    for env_id, entry in clothgym_envs.ENVIRONMENTS.items():
+        assert gym.spec(env_id).entry_point == entry
+        assert env_id.startswith("clothgym/")
+        assert gym.spec(env_id).max_episode_steps is None, "truncation is inside"
+    for one, two in itertools.pairwise(sorted(clothgym_envs.ENVIRONMENTS)):
+        assert one != two

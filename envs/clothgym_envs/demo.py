@@ -16,7 +16,7 @@ from clothgym.benchmarks.report import Page, Table
 from clothgym.commands import JsonOption, answer, progress_bar, reserved_stdout, say
 
 STRATEGIES = ("none", "local", "global", "hybrid")
-SQUARE_STEPS, SQUARE_FRAMES = 30, (0, 5, 12, 30)
+SQUARE_STEPS, SQUARE_FRAMES = 25, (0, 5, 12, 25)
 SHELL_STEPS, SHELL_FRAMES = 60, (0, 4, 12, 60)
 _ENV = "clothgym/UntangleLayers-v0"
 _SEED = 20_001

@@ -18,9 +18,7 @@ def squares(count: int = 25, seed: int = 0, box: float = 1.25, cells: int = _CEL
     rng = np.random.default_rng(seed)
     flat = grid(_SIDE, _SIDE, cells, cells)
     edge = _SIDE / cells
-    material = Material(
-        density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge
-    )
+    material = _material(edge)
     cloths = []
     lowest = 0.0
     for number in range(count):
@@ -46,10 +44,7 @@ def pile(count: int = 25, seed: int = 0, gap: float = 0.02) -> Scene:
     test of contact alone."""
     rng = np.random.default_rng(seed)
     flat = grid(_SIDE, _SIDE, _CELLS, _CELLS)
-    edge = _SIDE / _CELLS
-    material = Material(
-        density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge
-    )
+    material = _material(_SIDE / _CELLS)
     cloths = []
     for number in range(count):
         angle = rng.uniform(0.0, 2.0 * np.pi)
@@ -59,6 +54,11 @@ def pile(count: int = 25, seed: int = 0, gap: float = 0.02) -> Scene:
         vertices = _wavy(flat, 0.4 * gap, rng).vertices @ turn.T + place
         cloths.append(Cloth(Mesh(vertices, flat.faces, flat.quads), material, (), flat.vertices, f"square {number}"))
     return Scene(tuple(cloths), ground=0.0, step=0.01, duration=3.0, name="pile")
+
+
+def _material(edge: float) -> Material:
+    """Light cotton; damping stands for the drag of the air (terminal speed 2.5 m/s)."""
+    return Material(density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge)
 
 
 def random_rotation(rng: np.random.Generator) -> FloatArray:

@@ -102,7 +102,7 @@ def _record_episode(
 
     if "{" in str(out) or "}" in str(out):
         raise ValueError(f"OUT.rrd = '{out}': braces may not stand in it")
-    name = _full_id(env_id)
+    name = full_id(env_id)
     policy = policies.get(name, policy_name)
     kwargs: dict[str, Any] = {k: v for k, v in choices.items() if v is not None}
     env = RerunRecorder(gym.make(name, **kwargs), out, spawn=view)
@@ -139,7 +139,7 @@ def _record_episode(
     }
 
 
-def _full_id(name: str) -> str:
+def full_id(name: str) -> str:
     """A registered id from what the user typed: with or without the prefix and the version."""
     import gymnasium as gym
 

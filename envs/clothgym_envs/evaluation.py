@@ -315,9 +315,9 @@ def evaluate_command(
 def _evaluate_episodes(
     env: str, policy: str, level: str, fidelity: str, episodes: int, jobs: int, out: Path | None
 ) -> dict[str, Any]:
-    from clothgym_envs.commands import _full_id
+    from clothgym_envs.commands import full_id
 
-    env_id = _full_id(env)
+    env_id = full_id(env)
     _refuse_file(policy, env_id)
     policies.get(env_id, policy)
     origin = provenance()

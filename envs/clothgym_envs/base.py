@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,7 +53,7 @@ class ObservationLayout:
         return np.clip(out, -_BOUND, _BOUND).astype(np.float32)
 
 
-class ClothEnv(gym.Env[np.ndarray, np.ndarray]):
+class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
     """Base of all environments.
 
     A subclass sets `control_period`, `simulation`, `layout`, `action_space`, and implements `_begin(rng, options)` (a new
@@ -85,21 +86,25 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray]):
 
     # --- for subclasses ---------------------------------------------------------------------------------------------
 
+    @abstractmethod
     def _begin(self, rng: np.random.Generator, options: dict[str, Any]) -> None:
-        raise NotImplementedError
+        """Begins an episode, drawn from the generator alone."""
 
+    @abstractmethod
     def _act(self, action: FloatArray) -> None:
-        raise NotImplementedError
+        """Applies an action and simulates one control period."""
 
+    @abstractmethod
     def _values(self) -> dict[str, Any]:
-        raise NotImplementedError
+        """Observed values by name, in their units."""
 
+    @abstractmethod
     def _judge(self, action: FloatArray) -> tuple[dict[str, float], bool]:
-        raise NotImplementedError
+        """Reward terms of the step, and whether it ended in success."""
 
+    @abstractmethod
     def _details(self) -> dict[str, Any]:
         """Task-specific part of info: the same keys with the same types at every step."""
-        raise NotImplementedError
 
     # --- the Gymnasium interface ------------------------------------------------------------------------------------
 
@@ -211,11 +216,13 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray]):
         self.reward_terms = dict(terms)
         self._set_task_state(state["task"])
 
+    @abstractmethod
     def _task_state(self) -> dict[str, Any]:
-        raise NotImplementedError
+        """What `get_state` keeps beside the simulation; independent copies."""
 
+    @abstractmethod
     def _set_task_state(self, state: dict[str, Any]) -> None:
-        raise NotImplementedError
+        """Back to what `_task_state` gave."""
 
     @property
     def gripper_positions(self) -> FloatArray:

@@ -86,8 +86,8 @@ class Puller:
         return self.follow(self.pull)
 
     def choose(self, info: dict[str, Any]) -> Pull | None:
-        """The next pull; None = open the grippers and wait."""
-        raise NotImplementedError
+        """The next pull; None = open the grippers and wait, which is all that a bare Puller does by itself."""
+        return None
 
     def follow(self, pull: Pull) -> np.ndarray:
         """The action of the next step; at the end of a pull, opens and forgets it."""

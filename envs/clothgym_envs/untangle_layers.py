@@ -13,7 +13,7 @@ from clothgym import fidelity as fidelities
 from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.detection.sides import Sides
 from clothgym.recording.frames import Camera
-from clothgym.scenes.layers import GAP, SIDE, draw_stack, stack_scene
+from clothgym.scenes.layers import SIDE, draw_stack, stack_scene
 from clothgym_envs.base import ClothEnv, ObservationLayout
 
 SHEETS = {"easy": 2, "medium": 3, "hard": 5}
@@ -83,7 +83,6 @@ class UntangleLayersEnv(ClothEnv):
         self._start_length = 1.0
         self._clean_count = 0
         self._side_error = 0.0
-        self._closed = np.zeros(GRIPS, np.bool_)
         self.reward_terms = {name: 0.0 for name in ("length", "action", "strain", "success", "side_error", "failure")}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (4 * GRIPS,), np.float32)
         fields: list[tuple[str, int, str, float]] = []
@@ -133,7 +132,6 @@ class UntangleLayersEnv(ClothEnv):
         self._required = [sides.signs(stack.clean) for sides in self._sides]
         for g in range(GRIPS):
             self.simulation.place_grip(g, (0.12 if g else -0.12, 0.1, rng.uniform(-0.05, 0.05)))
-        self._closed[:] = False
         self._clean_count = 0
         self._side_error = self._side_errors().max(initial=0.0)
 
@@ -146,7 +144,6 @@ class UntangleLayersEnv(ClothEnv):
                 sim.release(g)
             elif len(sim.held(g)) == 0:
                 self._close(g)
-            self._closed[g] = close
         for _ in range(self._substeps):
             for g in range(GRIPS):
                 # stop at the border of the workspace
@@ -215,7 +212,7 @@ class UntangleLayersEnv(ClothEnv):
         errors = self._side_errors()
         self._pair_errors = errors
         self._side_error = float(errors.max(initial=0.0))
-        success = self._clean_count >= CLEAN_STEPS and self._side_error <= SIDE_TOLERANCE
+        success = self._succeeded()
         end = success or self.steps >= self.horizon
         terms = {
             "length": 10.0 * (before - now),
@@ -323,9 +320,13 @@ class UntangleLayersEnv(ClothEnv):
             values[f"{name}/upper_sheet"] = c["upper"] if c else 0.0
             values[f"{name}/lower_sheet"] = c["lower"] if c else 0.0
 
+    def _succeeded(self) -> bool:
+        """Clean for long enough, and every sheet on its own side."""
+        return self._clean_count >= CLEAN_STEPS and self._side_error <= SIDE_TOLERANCE
+
     def _details(self) -> dict[str, Any]:
         hits = self.simulation.last_intersections
-        success = self._clean_count >= CLEAN_STEPS and self._side_error <= SIDE_TOLERANCE
+        success = self._succeeded()
         left = 1.0 - min(hits.length / self._start_length, 1.0)
         return {
             "progress": 1.0 if success else float(left * (1.0 - self._side_error)),
@@ -343,7 +344,6 @@ class UntangleLayersEnv(ClothEnv):
             "side_error": self._side_error,
             "pair_errors": self._pair_errors.copy(),
             "length_share": self._length_share,
-            "closed": self._closed.copy(),
         }
 
     def _set_task_state(self, state: dict[str, Any]) -> None:
@@ -354,7 +354,6 @@ class UntangleLayersEnv(ClothEnv):
         self._side_error = state["side_error"]
         self._pair_errors = state["pair_errors"].copy()
         self._length_share = state["length_share"]
-        self._closed = state["closed"].copy()
 
 
-__all__ = ["GAP", "UntangleLayersEnv"]
+__all__ = ["UntangleLayersEnv"]

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clothgym import metrics, scenes
+    from clothgym.body import Body
     from clothgym.detection.intersections import Contour, Intersections, Proximities, intersections, proximities
+    from clothgym.dressing import Draped, drape
     from clothgym.errors import MissingExtraError, SimulationError
     from clothgym.fidelity import Fidelity
     from clothgym.materials import Material
     from clothgym.mesh import Mesh, Surface, grid
+    from clothgym.pattern import Pattern
     from clothgym.response.untangling.run import UntangleResult, untangle
     from clothgym.scene import Cloth, Grip, Scene
     from clothgym.simulation import Simulation
@@ -22,11 +25,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Body": "body",
     "Contour": "detection.intersections",
     "Intersections": "detection.intersections",
     "Proximities": "detection.intersections",
     "intersections": "detection.intersections",
     "proximities": "detection.intersections",
+    "Draped": "dressing",
+    "drape": "dressing",
     "MissingExtraError": "errors",
     "SimulationError": "errors",
     "Fidelity": "fidelity",
@@ -34,6 +40,7 @@ _HOMES = {
     "Mesh": "mesh",
     "Surface": "mesh",
     "grid": "mesh",
+    "Pattern": "pattern",
     "UntangleResult": "response.untangling.run",
     "untangle": "response.untangling.run",
     "Cloth": "scene",
@@ -58,14 +65,17 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "Body",
     "Cloth",
     "Contour",
+    "Draped",
     "Fidelity",
     "Grip",
     "Intersections",
     "Material",
     "Mesh",
     "MissingExtraError",
+    "Pattern",
     "Proximities",
     "Scene",
     "Simulation",
@@ -73,6 +83,7 @@ __all__ = [
     "Surface",
     "UntangleResult",
     "__version__",
+    "drape",
     "grid",
     "intersections",
     "metrics",

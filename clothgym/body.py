@@ -1,364 +1,298 @@
-"""The bodies that come with the package: surface, skeleton, skinning weights; and the torso as an open tube.
+"""Bodies of a scene: a surface that cloth lies on, from the package, from arrays or from any mesh file.
 
-Both bodies are CC0 (`assets/LICENSE-CC0-bodies.md`).
+woman = body.load("female", pose="a_pose")
+table = body.load("table.glb", unit="cm", up="z")
+for note in table.notes: print(note)           # what was found and done while reading
 """
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterable
+import io
+from collections import deque
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib import resources
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from clothgym.arrays import FloatArray, IntArray, check_choice, check_number, read_only
-from clothgym.kernels import sides
+from clothgym import rig
+from clothgym.arrays import BoolArray, FloatArray, IntArray, as_faces, as_points, check_choice, check_number, read_only
 from clothgym.mesh import Mesh, Surface, face_areas
+from clothgym.rig import Limb
 
-NAMES = ("female", "male")
-_NECK_BONES = ("neck_01", "head")
-_ARM_BONES = ("upperarm", "lowerarm", "hand", "thumb", "index", "middle", "ring", "pinky")
-_NECK_LEVEL, _ARM_LEVEL = 0.5, 0.75
-"""Weights at which the torso ends; arms have theirs well up the shoulder, where 0.5 would leave no strap."""
-_BORDER_SMOOTHING = 4
-_REMESH_ROUNDS = 6
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+"""Units of mesh files [m]."""
+
+_NO_SURFACES = {"zip", "tar.gz", "tar.bz2", "bz2", "dxf", "xyz", "svg", "dict", "dict64", "json", "msgpack"}
+"""What trimesh reads besides meshes: archives, drawings, clouds of points, its own dumps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body at rest: arms about 45 degrees down, feet at y = 0, y up, z to the front. All arrays are read-only.
+    """A surface that cloth lies on. Arrays are copied and read-only.
 
-    Attributes:
-        name: "female" or "male".
-        vertices: (V, 3) [m].
-        faces: (F, 3), closed, counter-clockwise seen from outside.
-        bones: names of the B bones.
-        parent: (B,) parent bone, -1 for the root.
-        head, tail: (B, 3) ends of each bone [m].
-        weights: (V, B) share of each bone in each vertex; rows sum to 1.
-    """
-
-    name: str
-    vertices: FloatArray
-    faces: IntArray
-    bones: tuple[str, ...]
-    parent: IntArray
-    head: FloatArray
-    tail: FloatArray
-    weights: FloatArray
-
-    def bone(self, name: str) -> int:
-        """Number of a bone.
-
-        Raises:
-            ValueError: no such bone.
-        """
-        return self.bones.index(check_choice(name, "bone", self.bones))
-
-
-@lru_cache(maxsize=len(NAMES))
-def load(name: str) -> Body:
-    """One of the bodies of the package: "female" (1.59 m) or "male" (1.73 m). Each is read once.
-
-    Raises:
-        ValueError: another name.
-    """
-    check_choice(name, "body", NAMES)
-    with (
-        resources.files("clothgym").joinpath("assets", f"{name}_rig.npz").open("rb") as file,
-        np.load(file, allow_pickle=False) as data,
-    ):
-        weights = data["weights"].astype(np.float64)
-        arrays = {
-            "vertices": data["vertices"].astype(np.float64),
-            "faces": data["faces"].astype(np.int32),
-            "parent": data["parent"].astype(np.int32),
-            "head": data["head"].astype(np.float64),
-            "tail": data["tail"].astype(np.float64),
-            "weights": weights / weights.sum(axis=1, keepdims=True),  # stored in half precision
-        }
-        bones = tuple(str(bone) for bone in data["bones"])
-    return Body(name=name, bones=bones, **{key: read_only(array) for key, array in arrays.items()})
-
-
-@lru_cache(maxsize=8)
-def torso(body: Body, edge_length: float = 0.022) -> Mesh:
-    """The trunk as an open tube with four borders (neck, two armholes, hip), remeshed evenly; arrays are read-only.
-
-    It is cut where neck and head have half of the weight, where the arms have most of it, and level with the middle of
-    the pelvis bone, above the legs.
+    Parts whose faces run clockwise seen from outside, or some of whose faces do, are turned; see `notes`.
 
     Args:
-        body: from `load`.
-        edge_length: mean length of its edges [m], 0.01 to 0.06.
+        mesh: a `Mesh`, a trimesh.Trimesh, a pair (vertices, faces) [m], or "female" or "male"; becomes a `Mesh`.
+        name: shown in tables and recordings.
+        friction: coefficient of Coulomb friction, 0 to 10.
+        slide: C_fric of [Vassilev 2001] eq. 12, the share of the sliding speed that a contact leaves a substep, 0 to 1; acts
+            where `Fidelity.body_response` is "velocity".
+        rebound: C_refl of eq. 12, the share of the approaching speed that a contact gives back, 0 to 1.
+        limbs: paths that tell whether a garment is worn; a body of the package has its own.
+        notes: one line each: what was found and done while reading, added to by what is found here.
 
     Raises:
-        ValueError: an edge length out of range.
+        ValueError: names the body, the field and the value.
     """
-    check_number(edge_length, "torso.edge_length", 0.01, 0.06)
-    neck = body.weights[:, [body.bone(name) for name in _NECK_BONES]].sum(axis=1)
-    arms = body.weights[:, [n for n, name in enumerate(body.bones) if name.startswith(_ARM_BONES)]].sum(axis=1)
-    pelvis = body.bone("pelvis")
-    hip = 0.5 * (body.head[pelvis, 1] + body.tail[pelvis, 1])
-    vertices, faces = body.vertices, body.faces
-    fields = np.column_stack(
-        [_NECK_LEVEL - _smoothed(body, neck), _ARM_LEVEL - _smoothed(body, arms), vertices[:, 1] - hip]
-    )
-    for column in range(fields.shape[1]):
-        vertices, faces, fields = _clip(vertices, faces, fields, column)
-    vertices, faces = _largest_component(vertices, faces)
-    remesher = _Remesher(vertices, faces, edge_length)
-    for _ in range(_REMESH_ROUNDS):
-        remesher.split_long()
-        remesher.collapse_short()
-        remesher.flip()
-        remesher.smooth()
-    mesh = remesher.mesh()
-    return Mesh(read_only(mesh.vertices), read_only(mesh.faces))
+
+    mesh: Any
+    name: str = "body"
+    friction: float = 0.3
+    slide: float = 0.99
+    rebound: float = 0.0
+    limbs: tuple[Limb, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        label = f"body {self.name!r}"
+        given, limbs = self.mesh, tuple(self.limbs)
+        if isinstance(given, str):
+            if given not in rig.NAMES:
+                raise ValueError(
+                    f"{label}: mesh = {given!r}: expected one of {', '.join(rig.NAMES)}; files are read by body.load"
+                )
+            limbs = limbs or rig.load(given).limbs()
+            given = rig.load(given)
+        if hasattr(given, "vertices") and hasattr(given, "faces"):
+            vertices, faces = given.vertices, given.faces
+        elif isinstance(given, tuple | list) and len(given) == 2:
+            vertices, faces = given
+        else:
+            raise ValueError(
+                f"{label}: mesh: expected a Mesh, a trimesh, (vertices, faces) or a name, got {type(given).__name__}"
+            )
+        points = as_points(vertices, f"{label}: vertices").copy()
+        triangles = as_faces(faces, len(points), f"{label}: faces").copy()
+        if len(triangles) < 4:
+            raise ValueError(f"{label}: faces: {len(triangles)} given; a body needs at least four triangles")
+        check_number(self.friction, f"{label}: friction", 0.0, 10.0)
+        check_number(self.slide, f"{label}: slide", 0.0, 1.0)
+        check_number(self.rebound, f"{label}: rebound", 0.0, 1.0)
+        for number, limb in enumerate(limbs):
+            if not isinstance(limb, Limb):
+                raise ValueError(f"{label}: limbs[{number}] = {type(limb).__name__}: expected a Limb")
+        triangles, found = _examined(points, triangles, label)
+        notes = dict.fromkeys([*self.notes, *(f"{self.name}: {note}" for note in found)])
+        object.__setattr__(self, "mesh", Mesh(read_only(points), read_only(triangles)))
+        object.__setattr__(self, "limbs", limbs)
+        object.__setattr__(self, "notes", tuple(notes))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values without the notes; floats survive exactly."""
+        return {
+            "name": self.name,
+            "vertices": self.mesh.vertices.tolist(),
+            "faces": self.mesh.faces.tolist(),
+            "friction": self.friction,
+            "slide": self.slide,
+            "rebound": self.rebound,
+            "limbs": [limb.to_json() for limb in self.limbs],
+        }
+
+    @staticmethod
+    def from_json(values: dict[str, Any]) -> Body:
+        """Raises ValueError for missing or unknown fields, by name."""
+        known = {"name", "vertices", "faces", "friction", "slide", "rebound", "limbs"}
+        if wrong := set(values) ^ known:
+            raise ValueError(f"body.{min(wrong)}: unknown or missing field; expected {', '.join(sorted(known))}")
+        limbs = tuple(Limb.from_json(limb) for limb in values["limbs"])
+        mesh = values["vertices"], values["faces"]
+        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs)
 
 
-def _smoothed(body: Body, values: FloatArray) -> FloatArray:
-    """A field over the body's vertices (V,), averaged with the neighbours a few times."""
-    start, neighbours, _ = Surface(body.faces, len(body.vertices)).neighbourhood
-    owner = np.repeat(np.arange(len(values)), np.diff(start))
-    degree = np.maximum(np.diff(start), 1)
-    for _ in range(_BORDER_SMOOTHING):
-        values = 0.5 * values + 0.5 * np.bincount(owner, values[neighbours], minlength=len(values)) / degree
-    return values
+def load(
+    source: str | Path, pose: str = "rest", unit: str | None = None, up: str | None = None, name: str | None = None
+) -> Body:
+    """A body of the package in a pose, or the body in a mesh file. It stays where it is: nothing is set on the ground.
+
+    Of a file, all parts are taken as one surface and vertices at exactly the same place become one.
+
+    Args:
+        source: "female", "male", or a file of any mesh format that trimesh reads.
+        pose: one of `rig.poses()`; a file has no skeleton and knows "rest" only.
+        unit: unit of the file, one of `UNITS`; default: metres up to a height of 10, else centimetres, from 600 on
+            millimetres, and a note.
+        up: "y" or "z", the file's axis that points up; default: y, or z for what stands on z = 0 and is more than twice
+            as tall along z as along y, and a note. z up becomes y up by a quarter turn about x.
+        name: default: the source's name.
+
+    Raises:
+        ValueError: one line with the file, the field and the value.
+    """
+    if up is not None:
+        check_choice(up, "up", ("y", "z"))
+    if unit is not None:
+        check_choice(unit, "unit", tuple(UNITS))
+    if isinstance(source, str) and source in rig.NAMES:
+        if unit not in (None, "m") or up not in (None, "y"):
+            raise ValueError(
+                f"body {source!r}: unit = {unit!r}, up = {up!r}: bodies of the package have metres and y up"
+            )
+        skinned = rig.load(source)
+        return Body((skinned.posed(pose), skinned.faces), name or source, limbs=skinned.limbs(pose))
+    path = Path(source)
+    if pose != "rest":
+        raise ValueError(f"{path}: pose = {pose!r}: a mesh file has no skeleton; expected rest")
+    vertices, faces = _read(path)
+    vertices, faces = _merged(vertices, faces)
+    vertices, notes = _in_world(vertices, unit, up)
+    try:
+        return Body((vertices, faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
-def _clip(
-    vertices: FloatArray, faces: IntArray, fields: FloatArray, column: int
-) -> tuple[FloatArray, IntArray, FloatArray]:
-    """The part of a surface where a column of fields (V, C), linear over each face, is positive; fields go along."""
-    level = np.where(fields[:, column] == 0.0, 1e-12, fields[:, column])
-    values = np.column_stack([vertices, fields])
-    points = list(values)
-    made: dict[tuple[int, int], int] = {}
+def _read(path: Path) -> tuple[FloatArray, IntArray]:
+    """Vertices and triangles of a file as they stand there; files beside it (materials, textures) are not opened."""
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file, and no body of the package ({', '.join(rig.NAMES)})")
+    import trimesh
 
-    def crossing(a: int, b: int) -> int:
-        key = (min(a, b), max(a, b))
-        if key not in made:
-            t = level[key[0]] / (level[key[0]] - level[key[1]])
-            made[key] = len(points)
-            points.append((1.0 - t) * values[key[0]] + t * values[key[1]])
-        return made[key]
-
-    positive = level > 0.0
-    counts = positive[faces].sum(axis=1)
-    kept = faces[counts == 3].tolist()
-    for face in faces[(counts == 1) | (counts == 2)].tolist():
-        while positive[face[0]] == positive[face[1]] or positive[face[0]] == positive[face[2]]:
-            face = face[1:] + face[:1]  # until corner 0 is the odd one out
-        a, b, c = face
-        ab, ca = crossing(a, b), crossing(c, a)
-        kept.extend([[a, ab, ca]] if positive[a] else [[ab, b, c], [ab, c, ca]])
-    clipped, kept_faces = _compact(np.asarray(points), np.asarray(kept, np.int32).reshape(-1, 3))
-    return np.ascontiguousarray(clipped[:, :3]), kept_faces, clipped[:, 3:]
+    ending = path.suffix.lstrip(".").lower()
+    known = sorted(set(trimesh.available_formats()) - _NO_SURFACES)
+    if ending not in known:
+        raise ValueError(f"{path}: cannot read {path.suffix or 'a file without ending'!r}: expected {', '.join(known)}")
+    options: dict[str, Any] = {"skip_materials": True} if ending == "obj" else {}
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type=ending, process=False, **options)
+        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    except Exception as error:  # readers of broken files fail in every way there is
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{path}: cannot be read as {ending}: {reason}") from error
+    try:
+        if vertices.ndim != 2 or len(faces) == 0:
+            raise ValueError("faces: holds no triangle")
+        points = as_points(vertices)
+        return points, as_faces(faces, len(points))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
-def _compact(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Without the rows (V, C) of vertices that no face uses."""
-    used, inverse = np.unique(faces, return_inverse=True)
-    return vertices[used], np.ascontiguousarray(inverse.reshape(-1, 3), np.int32)
+def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Vertices at exactly the same place as one, faces that lose a corner by that and unused vertices left out; order of
+    first use stays."""
+    _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    joined = first[inverse.ravel()][faces]
+    whole = (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
+    used, renumbered = np.unique(joined[whole], return_inverse=True)
+    return vertices[used], np.ascontiguousarray(renumbered.reshape(-1, 3), np.int32)
 
 
-def _largest_component(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """The connected part with the greatest area."""
-    component = Surface(faces, len(vertices)).components[faces[:, 0]]
-    return _compact(vertices, faces[component == np.bincount(component, face_areas(vertices, faces)).argmax()])
+def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[FloatArray, list[str]]:
+    """Vertices [m] with y up, and what was decided."""
+    notes = []
+    if len(vertices) == 0:
+        return vertices, notes  # `Body` says what is missing
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    size = high - low
+    if up is None:
+        up = "y"
+        if size[2] > 2.0 * size[1]:
+            stands = abs(low[2]) < 0.05 * size[2] and low[1] < -0.1 * size[1] and high[1] > 0.1 * size[1]
+            up = "z" if stands else "y"
+            reason = f"{size[2]:g} long along z, {size[1]:g} along y"
+            notes.append(f"{reason}: read with {up} up (up='{'y' if stands else 'z'}' to override)")
+    if up == "z":
+        vertices = np.ascontiguousarray(vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0))
+    tall = float(size[2] if up == "z" else size[1])
+    if unit is None:
+        unit = "m" if tall <= 10.0 else ("cm" if tall < 600.0 else "mm")
+        if unit != "m":
+            words = {"cm": "centimetres", "mm": "millimetres"}
+            notes.append(f"{tall:g} units high, read as {words[unit]} (unit='m' to override)")
+        elif tall < 0.1:
+            notes.append(f"{tall:g} units high, read as metres (unit=... to override)")
+    return vertices * UNITS[unit], notes
 
 
-class _Remesher:
-    """Even triangles on a surface by splits, collapses, flips and smoothing [Botsch 2004]; borders keep their place."""
-
-    def __init__(self, vertices: FloatArray, faces: IntArray, length: float) -> None:
-        self.original = (np.ascontiguousarray(vertices), faces)
-        surface = Surface(faces, len(vertices))
-        self.border = vertices[surface.edges[surface.edge_face_count == 1]]
-        self.points = [np.array(p) for p in vertices]
-        self.faces: dict[int, tuple[int, int, int]] = {}
-        self.around: list[set[int]] = [set() for _ in vertices]
-        self.next_face = 0
-        self.length = length
-        self._add(faces.tolist())
-
-    def mesh(self) -> Mesh:
-        """Vertices and faces from top to bottom, so that neighbours lie close in memory."""
-        vertices, faces = _compact(np.asarray(self.points), np.asarray(list(self.faces.values()), np.int32))
-        order = np.argsort(-vertices[:, 1], kind="stable")
-        rank = np.empty(len(order), np.int32)
-        rank[order] = np.arange(len(order), dtype=np.int32)
-        faces = rank[faces]
-        return Mesh(vertices[order], np.ascontiguousarray(faces[np.argsort(faces.min(axis=1), kind="stable")]))
-
-    def _add(self, faces: Iterable[Iterable[int]]) -> None:
-        for face in faces:
-            a, b, c = face
-            self.faces[self.next_face] = (a, b, c)
-            for v in (a, b, c):
-                self.around[v].add(self.next_face)
-            self.next_face += 1
-
-    def _remove(self, face: int) -> tuple[int, int, int]:
-        corners = self.faces.pop(face)
-        for v in corners:
-            self.around[v].discard(face)
-        return corners
-
-    def _edges(self) -> list[tuple[int, int]]:
-        return sorted({(min(f[i], f[i - 1]), max(f[i], f[i - 1])) for f in self.faces.values() for i in range(3)})
-
-    def _size(self, a: int, b: int) -> float:
-        d = self.points[a] - self.points[b]
-        return float(np.sqrt(d @ d))
-
-    def _neighbours(self, v: int) -> set[int]:
-        return {u for f in self.around[v] for u in self.faces[f]} - {v}
-
-    def _shared(self, a: int, b: int) -> list[int]:
-        return sorted(self.around[a] & self.around[b])
-
-    def _on_border(self, v: int) -> bool:
-        return len(self._neighbours(v)) != len(self.around[v])
-
-    def _normal(self, a: int, b: int, c: int) -> FloatArray:
-        p = self.points[a]
-        u, w = self.points[b] - p, self.points[c] - p
-        return np.array([u[1] * w[2] - u[2] * w[1], u[2] * w[0] - u[0] * w[2], u[0] * w[1] - u[1] * w[0]])
-
-    def split_long(self) -> None:
-        """Halves edges longer than 4/3 of the wanted length, longest first."""
-        limit = 4.0 / 3.0 * self.length
-        heap = [(-size, a, b) for a, b in self._edges() if (size := self._size(a, b)) > limit]
-        heapq.heapify(heap)
-        while heap:
-            _, a, b = heapq.heappop(heap)
-            shared = self._shared(a, b)
-            if not shared:
-                continue
-            middle = len(self.points)
-            self.points.append(0.5 * (self.points[a] + self.points[b]))
-            self.around.append(set())
-            for face in shared:
-                corners = self._remove(face)
-                self._add(tuple(middle if v == old else v for v in corners) for old in (a, b))
-            for v in self._neighbours(middle):
-                if (size := self._size(v, middle)) > limit:
-                    heapq.heappush(heap, (-size, min(v, middle), max(v, middle)))
-
-    def collapse_short(self) -> None:
-        """Joins the ends of edges shorter than 4/5 of the wanted length where the surface stays a manifold, keeps its
-        borders and turns no face over."""
-        low, high = 0.8 * self.length, 4.0 / 3.0 * self.length
-        heap = [(size, a, b) for a, b in self._edges() if (size := self._size(a, b)) < low]
-        heapq.heapify(heap)
-        while heap:
-            size, a, b = heapq.heappop(heap)
-            shared = self._shared(a, b)
-            if not shared or size != self._size(a, b):
-                continue
-            border_a, border_b = self._on_border(a), self._on_border(b)
-            if border_a and border_b and len(shared) == 2:
-                continue  # would join two borders, or one with itself
-            if len(self._neighbours(a) & self._neighbours(b)) != len(shared):
-                continue
-            if border_a != border_b:
-                place = self.points[a if border_a else b]
-            else:
-                place = 0.5 * (self.points[a] + self.points[b])
-            if not self._may_join(a, b, place, high):
-                continue
-            for face in shared:
-                self._remove(face)
-            self._add([tuple(a if v == b else v for v in self._remove(f)) for f in sorted(self.around[b])])
-            self.points[a] = np.array(place)
-            for v in self._neighbours(a):
-                if (size := self._size(v, a)) < low:
-                    heapq.heappush(heap, (size, min(v, a), max(v, a)))
-
-    def _may_join(self, a: int, b: int, place: FloatArray, high: float) -> bool:
-        """No edge at the new place is too long, and no face around turns by more than about 60 degrees."""
-        for v in (self._neighbours(a) | self._neighbours(b)) - {a, b}:
-            d = self.points[v] - place
-            if d @ d > high * high:
-                return False
-        for face in self.around[a] ^ self.around[b]:
-            corners = self.faces[face]
-            before = self._normal(*corners)
-            p, q, r = (place if v in (a, b) else self.points[v] for v in corners)
-            after = np.cross(q - p, r - p)
-            if before @ after <= 0.5 * np.sqrt((before @ before) * (after @ after)):
-                return False
-        return True
-
-    def flip(self) -> None:
-        """Turns inner edges where that brings the vertices closer to six neighbours (four on a border)."""
-        live = {v for f in self.faces.values() for v in f}
-        excess = {v: len(self._neighbours(v)) - (4 if self._on_border(v) else 6) for v in live}
-        for a, b in self._edges():
-            shared = self._shared(a, b)
-            if len(shared) != 2:
-                continue
-            first, second = (self.faces[f] for f in shared)
-            if first[(first.index(a) + 1) % 3] != b:
-                first, second = second, first  # first runs a -> b
-            c, d = sum(first) - a - b, sum(second) - a - b
-            if c == d or d in self._neighbours(c):
-                continue
-            change = sum(abs(excess[v] + step) - abs(excess[v]) for v, step in ((a, -1), (b, -1), (c, 1), (d, 1)))
-            if change >= 0:
-                continue
-            old = self._normal(*first) + self._normal(*second)
-            new = ((c, a, d), (d, b, c))
-            sizes = [self._normal(*face) for face in new]
-            if any(n @ old <= 0.7 * np.sqrt((n @ n) * (old @ old)) for n in sizes):
-                continue
-            for face in shared:
-                self._remove(face)
-            self._add(new)
-            for v, step in ((a, -1), (b, -1), (c, 1), (d, 1)):
-                excess[v] += step
-
-    def smooth(self) -> None:
-        """Moves inner vertices towards the mean of their neighbours and border vertices along the border, and all back
-        onto the original surface."""
-        live = sorted({v for f in self.faces.values() for v in f})
-        moved = {}
-        for v in live:
-            around = sorted(self._neighbours(v))
-            p = self.points[v]
-            if self._on_border(v):
-                before, after = (self.points[u] for u in around if len(self._shared(u, v)) == 1)
-                moved[v] = 0.5 * (p + 0.5 * (before + after))
-                continue
-            step = np.mean([self.points[u] for u in around], axis=0) - p
-            normal = np.sum([self._normal(*self.faces[f]) for f in sorted(self.around[v])], axis=0)
-            moved[v] = p + 0.7 * (step - (step @ normal) / (normal @ normal) * normal)
-        on_border = np.array([self._on_border(v) for v in live])
-        places = np.asarray([moved[v] for v in live])
-        places[on_border] = _closest_on_segments(places[on_border], self.border)
-        places[~on_border] = _closest_on_surface(places[~on_border], *self.original)
-        for v, place in zip(live, places):
-            self.points[v] = place
+def _examined(points: FloatArray, faces: IntArray, label: str) -> tuple[IntArray, list[str]]:
+    """Faces that run counter-clockwise seen from outside, and what was found."""
+    notes = []
+    areas = face_areas(points, faces)
+    size = float(np.linalg.norm(np.ptp(points[faces].reshape(-1, 3), axis=0)))
+    flat = int((areas <= 1e-12 * size * size).sum())
+    if flat == len(faces):
+        raise ValueError(f"{label}: faces: all {flat} triangles have no area")
+    if flat:
+        notes.append(f"{flat} of {len(faces)} triangles have no area")
+    surface = Surface(faces, len(points))
+    turned, part, twisted = _turned(points, surface, 1e-9 * size**3)
+    faces = faces.copy()
+    ids = surface.face_ids[turned]
+    faces[ids] = faces[ids][:, [0, 2, 1]]
+    parts = int(part.max()) + 1
+    whole = np.bincount(part, turned) == np.bincount(part)
+    if whole.any():
+        notes.append(f"{int(whole.sum())} of {parts} parts faced inwards and were turned over")
+    if mixed := int((turned & ~whole[part]).sum()):
+        notes.append(f"{mixed} of {len(faces)} triangles ran against their neighbours and were turned over")
+    if twisted:
+        notes.append(f"{twisted} edges where the two sides cannot be told apart: distances there have no reliable sign")
+    counts = surface.edge_face_count
+    if opened := int((counts == 1).sum()):
+        notes.append(f"not closed, {opened} open edges: distances near the holes have no reliable sign")
+    if crowded := int((counts > 2).sum()):
+        notes.append(f"{crowded} edges with more than two triangles: distances there have no reliable sign")
+    return faces, notes
 
 
-def _closest_on_segments(x: FloatArray, segments: FloatArray) -> FloatArray:
-    """Closest points (N, 3) on segments (S, 2, 3)."""
-    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
-    t = ((x[:, None] - start) * along).sum(axis=2) / np.maximum((along * along).sum(axis=1), 1e-30)
-    places = start + np.clip(t, 0.0, 1.0)[:, :, None] * along
-    nearest = ((x[:, None] - places) ** 2).sum(axis=2).argmin(axis=1)
-    return places[np.arange(len(x)), nearest]
+def _turned(points: FloatArray, surface: Surface, least_volume: float) -> tuple[BoolArray, IntArray, int]:
+    """Which faces (F,) must be turned so that neighbours agree and every part holds a positive volume, the part (F,) of
+    each face, and the number of edges whose faces cannot agree. Parts hang together by edges with two faces."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    faces = surface.faces
+    count = len(faces)
+    by_edge = np.argsort(surface.face_edges.ravel(), kind="stable")
+    ascending = (faces < faces[:, [1, 2, 0]]).ravel()[by_edge]
+    place = surface.edge_face_start[:-1][surface.edge_face_count == 2]
+    pairs = np.stack([by_edge[place] // 3, by_edge[place + 1] // 3], axis=1)
+    against = ascending[place] == ascending[place + 1]
+    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    part = connected_components(graph, directed=False)[1].astype(np.int32)
+    turned = _agreeing(pairs[(hurt := np.isin(part[pairs[:, 0]], part[pairs[against, 0]]))], against[hurt], count)
+    twisted = int((against ^ turned[pairs[:, 0]] ^ turned[pairs[:, 1]]).sum())
+
+    corners = points[faces]
+    sizes = np.bincount(part)
+    centre = np.stack([np.bincount(part, corners[:, :, axis].mean(axis=1)) / sizes for axis in range(3)], axis=1)
+    a, b, c = (corners[:, n] - centre[part] for n in range(3))
+    volume = np.einsum("fi,fi->f", a, np.cross(b, c)) / 6.0
+    inward = np.bincount(part, np.where(turned, -volume, volume)) < -least_volume
+    return turned ^ inward[part], part, twisted
 
 
-def _closest_on_surface(x: FloatArray, vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Closest points (N, 3) on a surface."""
-    stacked = np.concatenate([vertices, x])
-    boxes, blocks = np.empty((len(faces), 6)), np.empty((-(-len(faces) // sides.BLOCK), 6))
-    sides.face_boxes(stacked, faces, boxes, blocks)
-    face, weights, distance = np.zeros(len(x), np.int32), np.zeros((len(x), 3)), np.zeros(len(x))
-    sides.closest_faces(stacked, len(vertices), faces, boxes, blocks, face, weights, distance)
-    return np.einsum("pc,pcx->px", weights, vertices[faces[face]])
+def _agreeing(pairs: IntArray, against: BoolArray, count: int) -> BoolArray:
+    """Which of `count` faces to turn so that neighbours (P, 2) agree where they do not, from the first face of each part."""
+    turned = np.zeros(count, bool)
+    neighbours: dict[int, list[tuple[int, bool]]] = {}
+    for (f, g), differs in zip(pairs.tolist(), against.tolist()):
+        neighbours.setdefault(f, []).append((g, differs))
+        neighbours.setdefault(g, []).append((f, differs))
+    seen: set[int] = set()
+    for first in sorted(neighbours):
+        if first in seen:
+            continue
+        seen.add(first)
+        todo = deque([first])
+        while todo:
+            f = todo.popleft()
+            for g, differs in neighbours[f]:
+                if g not in seen:
+                    seen.add(g)
+                    turned[g] = turned[f] != differs
+                    todo.append(g)
+    return turned

@@ -12,6 +12,7 @@ from clothgym.arrays import check_choice, check_number
 INTEGRATORS = ("xpbd", "symplectic_euler")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force")
+BODY_RESPONSES = ("coulomb", "velocity")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
@@ -28,6 +29,9 @@ _RANGES = {
     "speed_limit": (1e-3, 1e3, False),
     "yield_force": (1e-9, 1e9, False),
     "rings": (0, 10, True),
+    "map_size": (8, 8192, True),
+    "body_tolerance": (0.0, 1.0, False),
+    "body_faces": (0, 16, True),
 }
 
 
@@ -56,6 +60,11 @@ class Fidelity:
             contact gives way above yield_force: weight does not pull layers through each other, a hand does.
         yield_force: [N] a contact, for "yield".
         rings: how many edges around a hit count as beside it.
+        map_size: texels of the body's maps along its longer side; finer maps follow the body more closely.
+        body_tolerance: distance that vertices keep from the body [m].
+        body_faces: n: faces are tested against the body too, at half the tolerance, at the midpoints of the n^2 equal
+            triangles in each; 0 = vertices only, 1 = as the paper, more where the body is sharper than the cloth is fine.
+        body_response: "coulomb" friction, at which cloth comes to rest, or "velocity" [Vassilev 2001, eq. 12], which creeps.
     """
 
     integrator: str = "xpbd"
@@ -76,12 +85,17 @@ class Fidelity:
     contacts_near_hits: str = "off_any"
     yield_force: float = 0.02
     rings: int = 1
+    map_size: int = 360
+    body_tolerance: float = 3e-3
+    body_faces: int = 3
+    body_response: str = "coulomb"
 
     def __post_init__(self) -> None:
         check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
+        check_choice(self.body_response, "fidelity.body_response", BODY_RESPONSES)
         for field, (low, high, integer) in _RANGES.items():
             # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
             object.__setattr__(self, field, check_number(getattr(self, field), f"fidelity.{field}", low, high, integer))
@@ -126,9 +140,9 @@ class Fidelity:
 
 
 PRESETS: dict[str, Fidelity] = {
-    "draft": Fidelity(substeps=4, sweeps=4),
+    "draft": Fidelity(substeps=4, sweeps=4, body_faces=1),
     "balanced": Fidelity(),
-    "accurate": Fidelity(substeps=16, sweeps=8),
+    "accurate": Fidelity(substeps=16, sweeps=8, body_faces=4, map_size=720),
 }
 
 

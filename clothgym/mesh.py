@@ -177,15 +177,3 @@ def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(V,) a third of the area of all faces at each vertex [m^2]."""
     shares = np.repeat(face_areas(vertices, faces) / 3.0, 3)
     return np.bincount(faces.ravel(), shares, minlength=len(vertices)).astype(np.float64)
-
-
-def smallest_altitudes(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(V,) least altitude [m] of the triangles with area at each vertex; infinite where there is none."""
-    longest = np.max(
-        [np.linalg.norm(vertices[faces[:, i]] - vertices[faces[:, i - 1]], axis=1) for i in range(3)], axis=0
-    )
-    altitude = np.divide(2.0 * face_areas(vertices, faces), longest, out=np.zeros_like(longest), where=longest > 0)
-    altitude[altitude == 0.0] = np.inf  # a face without area bounds nothing
-    least = np.full(len(vertices), np.inf)
-    np.minimum.at(least, faces.ravel(), np.repeat(altitude, 3))
-    return least

@@ -9,7 +9,8 @@ import numpy as np
 from clothgym import materials
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels.springs import ClothArrays
-from clothgym.mesh import Surface, smallest_altitudes, vertex_areas
+from clothgym.mesh import Surface
+from clothgym.rest import RestShape
 from clothgym.scene import Cloth, Scene
 
 STRUCTURAL, SHEAR, FLEXION = 0, 1, 2
@@ -31,23 +32,26 @@ class ClothModel:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        vertices, faces, masses, ends, rest, stiffness, kinds, thickness, friction, damping = ([] for _ in range(10))
+        faces, masses, ends, rest, stiffness, kinds, thickness, friction, damping = ([] for _ in range(9))
+        edge_rest, vertex_areas = [], []
         ranges, offset, face_offset = [], 0, 0
         pinned: list[int] = []
         for cloth in scene.cloths:
             material = materials.get(cloth.material)
             count = len(cloth.mesh.vertices)
-            areas = vertex_areas(cloth.rest, cloth.mesh.faces)
-            used = areas > 0
-            if not used.any():
+            rest_shape = RestShape(cloth.mesh, cloth.rest)
+            areas = rest_shape.vertex_areas
+            if not (areas > 0).any():
                 raise ValueError(f"cloth {cloth.name!r}: every triangle of the rest shape has zero area")
             mass = areas * material.density
             if cloth.equal_masses:
                 mass = np.full(count, areas.sum() * material.density / count)
             # a vertex that no triangle gives mass to must not be infinitely light
             mass = np.maximum(mass, 1e-6 * mass.max())
-            spring_ends, spring_rest, spring_stiffness, spring_kinds = _springs(cloth)
-            vertices.append(cloth.rest)
+            surface = Surface(cloth.mesh.faces, count)
+            spring_ends, spring_rest, spring_stiffness, spring_kinds = _springs(cloth, rest_shape, surface)
+            edge_rest.append(rest_shape.edge_lengths(surface))
+            vertex_areas.append(areas)
             faces.append(cloth.mesh.faces + offset)
             masses.append(mass)
             pinned.extend(offset + pin for pin in cloth.pins)
@@ -55,7 +59,7 @@ class ClothModel:
             rest.append(spring_rest)
             stiffness.append(spring_stiffness)
             kinds.append(spring_kinds)
-            thickness.append(np.minimum(material.thickness, 0.5 * smallest_altitudes(cloth.rest, cloth.mesh.faces)))
+            thickness.append(np.minimum(material.thickness, 0.5 * rest_shape.least_altitudes))
             friction.append(material.friction)
             damping.append(material.damping)
             ranges.append(
@@ -63,7 +67,6 @@ class ClothModel:
             )
             offset += count
             face_offset += len(cloth.mesh.faces)
-        self.rest_vertices: FloatArray = np.concatenate(vertices)
         self.faces: IntArray = np.ascontiguousarray(np.concatenate(faces), np.int32)
         self.surface = Surface(self.faces, offset)
         self.masses: FloatArray = np.concatenate(masses)
@@ -78,11 +81,11 @@ class ClothModel:
         self.damping = float(np.mean(damping))
         self.ranges: list[tuple[str, slice, slice]] = ranges
         self.cloth_of_vertex = np.repeat(np.arange(len(ranges)), [r[1].stop - r[1].start for r in ranges])
-        e = self.surface.edges
-        self.edge_rest: FloatArray = np.linalg.norm(self.rest_vertices[e[:, 1]] - self.rest_vertices[e[:, 0]], axis=1)
+        # edges are sorted by their ends, so those of all cloths stand one cloth after the other
+        self.edge_rest: FloatArray = np.concatenate(edge_rest)
         structural = self.spring_kinds == STRUCTURAL
         self.mean_edge = float(self.spring_rest[structural].mean())
-        self.vertex_areas: FloatArray = vertex_areas(self.rest_vertices, self.faces)
+        self.vertex_areas: FloatArray = np.concatenate(vertex_areas)
         self.arrays = ClothArrays(self.inverse_masses, self.spring_ends, self.spring_rest, self.spring_stiffness)
 
     @property
@@ -103,31 +106,30 @@ class ClothModel:
         return (-c + math.sqrt(c * c + 4.0 * square)) / square
 
 
-def _springs(cloth: Cloth) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
+def _springs(
+    cloth: Cloth, rest_shape: RestShape, surface: Surface
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
     """Springs of one cloth: quads give structural, shear and flexion springs as in the paper, triangle meshes edges and
     the vertices opposite an edge."""
-    material, mesh = materials.get(cloth.material), cloth.mesh
-    if mesh.quads is not None:
-        groups = [
-            (
-                STRUCTURAL,
-                material.stretch,
-                _unique(np.concatenate([mesh.quads[:, [i, (i + 1) % 4]] for i in range(4)])),
-            ),
-            (SHEAR, material.shear, _unique(np.concatenate([mesh.quads[:, [0, 2]], mesh.quads[:, [1, 3]]]))),
-            (FLEXION, material.flexion, _skip_one(mesh.quads)),
-        ]
+    material, quads = materials.get(cloth.material), cloth.mesh.quads
+    if quads is not None:
+        kinds_pairs = (
+            (STRUCTURAL, _unique(np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)]))),
+            (SHEAR, _unique(np.concatenate([quads[:, [0, 2]], quads[:, [1, 3]]]))),
+            (FLEXION, _skip_one(quads)),
+        )
+        groups = [(kind, pairs, rest_shape.pair_lengths(pairs)) for kind, pairs in kinds_pairs]
     else:
-        surface = Surface(mesh.faces, len(mesh.vertices))
         groups = [
-            (STRUCTURAL, material.stretch, surface.edges),
-            (FLEXION, material.flexion, _opposite(surface)),
+            (STRUCTURAL, surface.edges, rest_shape.edge_lengths(surface)),
+            (FLEXION, *rest_shape.opposite_lengths(surface)),
         ]
+    constants = {STRUCTURAL: material.stretch, SHEAR: material.shear, FLEXION: material.flexion}
     ends, rests, stiffness, kinds = [], [], [], []
-    for kind, k, pairs in groups:
+    for kind, pairs, rest in groups:
+        k = constants[kind]
         if k == 0.0 or len(pairs) == 0:
             continue
-        rest = np.linalg.norm(cloth.rest[pairs[:, 1]] - cloth.rest[pairs[:, 0]], axis=1)
         proper = rest > 0.0
         ends.append(pairs[proper])
         rests.append(rest[proper])
@@ -153,15 +155,3 @@ def _skip_one(quads: IntArray) -> IntArray:
         (one[k], two[k]) for across in sides.values() if len(across) == 2 for one, two in [across] for k in range(2)
     ]
     return _unique(np.asarray(pairs, np.int32)) if pairs else np.zeros((0, 2), np.int32)
-
-
-def _opposite(surface: Surface) -> IntArray:
-    """Pairs of vertices opposite an edge that two faces share."""
-    two = np.flatnonzero(surface.edge_face_count == 2)
-    if len(two) == 0:
-        return np.zeros((0, 2), np.int32)
-    first = surface.faces[surface.edge_face_ids[surface.edge_face_start[two]]]
-    second = surface.faces[surface.edge_face_ids[surface.edge_face_start[two] + 1]]
-    sums = surface.edges[two].sum(axis=1)
-    pairs = np.stack([first.sum(axis=1) - sums, second.sum(axis=1) - sums], axis=1)
-    return _unique(pairs[pairs[:, 0] != pairs[:, 1]])

@@ -30,6 +30,7 @@ class Frame:
         self.state = state
         self.predicted: FloatArray = np.zeros((model.vertex_count, 3))
         self.external: FloatArray = np.zeros((0, 3))
+        self.body_forces: FloatArray = np.zeros((0, 3))
         self.last_intersections: Any = None
         self.untangling_passes = 0
         self.work: dict[str, int] = {}
@@ -200,6 +201,32 @@ class _Integrate:
             )
 
 
+class _IntegrateOnBody(_Integrate):
+    """The same with a body, still in one kernel."""
+
+    writes = ("positions", "velocities", "body_forces")
+
+    def __init__(self, step: _Step, body: Any, windy: bool) -> None:
+        super().__init__(step, windy)
+        from clothgym.kernels import body_contact
+
+        self.kernels, self.body = body_contact, body
+        self.name = f"{self.name[:-1]}, {body.label}]"
+
+    def run(self, frame: Frame) -> None:
+        s, state, cloth = self.step, frame.state, frame.model.arrays
+        motion, contact = s.motion(frame), self.body.begin(frame)
+        x, v, p = state.positions, state.velocities, frame.predicted
+        if s.explicit:
+            self.kernels.euler_substeps_on_body(
+                x, v, p, s.forces, cloth, s.radii, motion, s.ground, frame.grips, contact, s.substeps
+            )
+        else:
+            self.kernels.xpbd_substeps_on_body(
+                x, v, p, cloth, s.radii, motion, s.ground, frame.grips, s.multipliers, contact, s.substeps
+            )
+
+
 class _FacePairs:
     """Pairs of faces whose boxes, swept along the expected motion of the step, overlap."""
 
@@ -346,6 +373,20 @@ class _ContactSubsteps:
         else:
             integrate.xpbd_predict(state.positions, state.velocities, frame.predicted, cloth, motion)
 
+    def _solve(self, frame: Frame, motion: Motion, substep: int) -> None:
+        s, model = self.step, frame.model
+        self.kernels.solve(
+            frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
+            model.friction, s.radii, motion, s.ground, frame.grips, s.multipliers, substep, not s.explicit,
+        )  # fmt: skip
+
+    def _answer(self, frame: Frame) -> None:
+        """Velocities after contact."""
+        contacts, model = self.contacts, frame.model
+        self.kernels.stop_rebound(
+            frame.state.velocities, model.inverse_masses, contacts.arrays, contacts.active, self.step.dt
+        )
+
     def run(self, frame: Frame) -> None:
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
         x, v, p = state.positions, state.velocities, frame.predicted
@@ -367,10 +408,7 @@ class _ContactSubsteps:
             self.contacts.narrow(x, p, found, self.apart, *self.near)
             frame.count("contacts", self.contacts.active)
             now = frame.clock(f"{self.name}: closest points", now)
-            self.kernels.solve(
-                x, p, model.arrays, self.contacts.arrays, self.contacts.active, model.friction, s.radii, motion,
-                s.ground, frame.grips, s.multipliers, n, not s.explicit,
-            )  # fmt: skip
+            self._solve(frame, motion, n)
             now = frame.clock(f"{self.name}: solve", now)
             share = (n + 1 - base) / horizon
             for _ in range(self._ATTEMPTS):
@@ -394,8 +432,38 @@ class _ContactSubsteps:
             else:
                 frame.count("unproved", 1)
             integrate.finish(x, v, p, s.dt)
-            self.kernels.stop_rebound(v, model.inverse_masses, self.contacts.arrays, self.contacts.active, s.dt)
+            self._answer(frame)
             frame.clock(f"{self.name}: advance", now)
+
+
+class _ContactSubstepsOnBody(_ContactSubsteps):
+    """The same with a body, which has the last word in every sweep."""
+
+    writes = (*_ContactSubsteps.writes, "body_forces")
+
+    def __init__(self, step: _Step, body: Any, *others: Any) -> None:
+        super().__init__(step, *others)
+        from clothgym.kernels import body_contact
+
+        self.body_kernels, self.body = body_contact, body
+        self.name = f"{self.name[:-1]}, {body.label}]"
+
+    def run(self, frame: Frame) -> None:
+        self.contact = self.body.begin(frame)
+        super().run(frame)
+
+    def _solve(self, frame: Frame, motion: Motion, substep: int) -> None:
+        s, model = self.step, frame.model
+        self.body_kernels.solve_on_body(
+            frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
+            model.friction, s.radii, motion, s.ground, frame.grips, s.multipliers, substep, not s.explicit, self.contact,
+        )  # fmt: skip
+
+    def _answer(self, frame: Frame) -> None:
+        super()._answer(frame)
+        self.body_kernels.answer_body(
+            frame.state.velocities, frame.model.inverse_masses, self.contact, self.step.dt
+        )
 
 
 def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
@@ -419,8 +487,13 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
     step = _Step(model, fidelity, substeps)
     windy = any(c != 0.0 for c in scene.wind) and scene.wind_drag > 0.0
     stages: list[Stage] = [_Wind(model)] if windy else []
+    body: Any = None
+    if scene.bodies:
+        from clothgym.response.body import BodyResponse
+
+        body = BodyResponse(model, fidelity)
     if not scene.self_collision:
-        stages.append(_Integrate(step, windy))
+        stages.append(_IntegrateOnBody(step, body, windy) if body else _Integrate(step, windy))
         return Pipeline(tuple(stages), substeps, step.dt)
     from clothgym.response.contact import Candidates
 
@@ -435,5 +508,8 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
     if fidelity.untangling != "none" or fidelity.contacts_near_hits != "keep":
         stages.append(_Untangle(candidates, model, fidelity, pairs, apart))
     stages.append(_PrimitivePairs(candidates))
-    stages.append(_ContactSubsteps(step, candidates, model, fidelity, apart, windy))
+    if body:
+        stages.append(_ContactSubstepsOnBody(step, body, candidates, model, fidelity, apart, windy))
+    else:
+        stages.append(_ContactSubsteps(step, candidates, model, fidelity, apart, windy))
     return Pipeline(tuple(stages), substeps, step.dt)

@@ -14,6 +14,7 @@ import numpy as np
 
 from clothgym import materials
 from clothgym.arrays import FloatArray, as_faces, as_points, check_number
+from clothgym.body import Body
 from clothgym.materials import Material
 from clothgym.mesh import Mesh
 
@@ -26,7 +27,8 @@ class Cloth:
         mesh: a `Mesh`, a trimesh.Trimesh, or a pair (vertices, faces): where the cloth starts [m].
         material: a name of `clothgym.materials.MATERIALS` or a `Material`.
         pins: ids of vertices that do not move.
-        rest: (V, 3) the shape without strain; default: the mesh as it starts.
+        rest: the shape without strain; default: the mesh as it starts. (V, 3), or (F, 3, 2) or (F, 3, 3): the corners of
+            each face in a plane of its own, as a sewn garment has it, whose seam vertices lie in several panels.
         name: shown in tables and recordings.
         equal_masses: every vertex weighs the same, as in the papers; otherwise a third of the faces around it.
 
@@ -57,8 +59,10 @@ class Cloth:
         if len(triangles) == 0:
             raise ValueError(f"cloth {self.name!r}: faces: a cloth needs at least one triangle")
         object.__setattr__(self, "mesh", Mesh(points, triangles, quads))
-        rest = points if self.rest is None else as_points(self.rest, f"cloth {self.name!r}: rest", len(points)).copy()
-        object.__setattr__(self, "rest", rest)
+        if quads is not None and self.rest is not None and np.ndim(self.rest) == 3:
+            quads = None  # pairs across a quad need a place per vertex
+            object.__setattr__(self, "mesh", Mesh(points, triangles))
+        object.__setattr__(self, "rest", _rest(self.rest, points, len(triangles), self.name))
         object.__setattr__(self, "material", materials.get(self.material))
         object.__setattr__(self, "pins", _pins(self.pins, len(points), self.name))
 
@@ -93,6 +97,21 @@ class Cloth:
             values["name"],
             values["equal_masses"],
         )
+
+
+def _rest(given: Any, points: FloatArray, face_count: int, name: str) -> FloatArray:
+    """(V, 3) or (F, 3, 3) rest shape."""
+    if given is None:
+        return points
+    values = np.asarray(given, np.float64)
+    if values.ndim != 3:
+        return as_points(values, f"cloth {name!r}: rest", len(points)).copy()
+    if values.shape[:2] != (face_count, 3) or values.shape[2] not in (2, 3):
+        raise ValueError(f"cloth {name!r}: rest: expected the corners of {face_count} faces, got shape {values.shape}")
+    if values.shape[2] == 2:
+        values = np.concatenate([values, np.zeros((face_count, 3, 1))], axis=2)
+    as_points(values.reshape(-1, 3), f"cloth {name!r}: rest corners")
+    return values.copy()
 
 
 def _pins(given: Any, count: int, name: str) -> tuple[int, ...]:
@@ -136,10 +155,11 @@ class Grip:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What exists: cloths, ground, wind, grippers, and whether cloth can touch cloth at all.
+    """What exists: cloths, bodies, ground, wind, grippers, and whether cloth can touch cloth at all.
 
     Attributes:
         cloths: at least one.
+        bodies: what the cloth lies on; they do not move.
         ground: height of a horizontal plane [m], None = none.
         gravity: [m/s^2].
         wind: velocity of the air [m/s]; wind_drag: force per area and speed across the cloth [N s/m^3].
@@ -151,6 +171,7 @@ class Scene:
     """
 
     cloths: Sequence[Cloth]
+    bodies: Sequence[Body] = ()
     ground: float | None = None
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -163,12 +184,16 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cloths", tuple(self.cloths))
+        object.__setattr__(self, "bodies", tuple(self.bodies))
         object.__setattr__(self, "grips", tuple(self.grips))
         if not self.cloths:
             raise ValueError("scene.cloths: empty; a scene needs at least one cloth")
         for number, cloth in enumerate(self.cloths):
             if not isinstance(cloth, Cloth):
                 raise ValueError(f"scene.cloths[{number}] = {type(cloth).__name__}: expected a Cloth")
+        for number, body in enumerate(self.bodies):
+            if not isinstance(body, Body):
+                raise ValueError(f"scene.bodies[{number}] = {type(body).__name__}: expected a Body")
         for name in ("gravity", "wind"):
             vector = getattr(self, name)
             if np.shape(vector) != (3,) or not np.isfinite(np.asarray(vector, float)).all():
@@ -200,6 +225,7 @@ class Scene:
         """One JSON object; floats survive exactly."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.init}
         values["cloths"] = [cloth.to_json() for cloth in self.cloths]
+        values["bodies"] = [body.to_json() for body in self.bodies]
         values["grips"] = [dataclasses.asdict(grip) for grip in self.grips]
         return json.dumps(values)
 
@@ -214,6 +240,7 @@ class Scene:
         if "cloths" not in values:
             raise ValueError("scene.cloths: missing")
         values["cloths"] = [Cloth.from_json(c) for c in values["cloths"]]
+        values["bodies"] = [Body.from_json(b) for b in values.get("bodies", [])]
         grip_fields = {f.name for f in dataclasses.fields(Grip)}
         for grip in values.get("grips", []):
             if set(grip) - grip_fields:

@@ -36,7 +36,6 @@ class Simulation:
         self.fidelity = fidelities.get(fidelity)
         self.model = ClothModel(scene)
         self.pipeline: Pipeline = assemble(self.model, self.fidelity)
-        self._grip_forces: FloatArray = np.zeros((len(scene.grips), 3))
         self.reset()
 
     def reset(self, seed: int | None = None) -> None:
@@ -54,7 +53,8 @@ class Simulation:
             np.zeros((0, 3)),
         )
         self._frame = Frame(self.model, self._state)
-        self._grip_forces = np.zeros((grips, 3))
+        self._grip_forces: FloatArray = np.zeros((grips, 3))
+        self._body_forces: FloatArray = np.zeros((self.model.vertex_count if self.scene.bodies else 0, 3))
         self._intersections: Any = None
         for entry in self.pipeline.profile.values():
             entry[:] = [0, 0.0]
@@ -78,6 +78,7 @@ class Simulation:
                 remedy = "take more substeps or softer springs; the last finite state is kept"
                 raise SimulationError(*diverged, before.time, remedy)
             self._move_grips()
+            self._body_forces = self._frame.body_forces / self.pipeline.substeps
             self._state.time += self.scene.step
             self._state.step += 1
             self._intersections = None
@@ -88,7 +89,7 @@ class Simulation:
             "scene": self.scene,
             "fidelity": self.fidelity,
             "state": self._state.copy(),
-            "grip_forces": self._grip_forces.copy(),
+            "forces": self.measured_forces(),
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
         }
@@ -96,7 +97,7 @@ class Simulation:
     def __setstate__(self, values: dict[str, Any]) -> None:
         self.__init__(values["scene"], values["fidelity"])  # type: ignore[misc]
         self._restore(values["state"])
-        self._grip_forces = values["grip_forces"]
+        self.set_measured_forces(values["forces"])
         self._frame.untangling_passes = values["untangling_passes"]
         self._frame.work = values["work"]
 
@@ -133,6 +134,37 @@ class Simulation:
         return list(self.model.ranges)
 
     @property
+    def body_forces(self) -> FloatArray:
+        """(V, 3) [N] mean force of the bodies on each vertex over the last step; (0, 3) in a scene without bodies."""
+        return read_only(self._body_forces)
+
+    @property
+    def body_mesh(self) -> Any:
+        """The bodies' true surface, a `detection.body_mesh.BodyMesh`: exact distances, for measuring.
+
+        Raises:
+            ValueError: the scene has no bodies.
+        """
+        if not self.scene.bodies:
+            raise ValueError("body_mesh: the scene has no bodies")
+        if not hasattr(self, "_body_mesh"):
+            from clothgym.detection.body_mesh import BodyMesh
+
+            meshes = [body.mesh for body in self.scene.bodies]
+            starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+            faces = [mesh.faces + np.int32(start) for mesh, start in zip(meshes, starts)]
+            self._body_mesh = BodyMesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
+        return self._body_mesh
+
+    def penetration_depth(self) -> float:
+        """Depth [m] of the deepest vertex or midpoint of a face below the bodies' true surface; 0 without bodies."""
+        if not self.scene.bodies:
+            return 0.0
+        x = self._state.positions
+        points = np.concatenate([x, x[self.model.faces].mean(axis=1)])
+        return float(max(0.0, -self.body_mesh.signed_distance(points).min()))
+
+    @property
     def profile(self) -> dict[str, tuple[int, float]]:
         """Stage name -> (calls, wall seconds) since reset."""
         return {name: (int(calls), seconds) for name, (calls, seconds) in self.pipeline.profile.items()}
@@ -160,8 +192,8 @@ class Simulation:
     def metrics(self) -> dict[str, Any]:
         """Numbers of the current state.
 
-        contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m] (0
-        without a body), kinetic_energy and potential_energy [J], max_speed [m/s], time [s], untangling_passes (since
+        contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m] (of
+        vertices and midpoints of faces below the true surface of the bodies), kinetic_energy and potential_energy [J], max_speed [m/s], time [s], untangling_passes (since
         reset), work (counters since reset).
         """
         x, v = self._state.positions, self._state.velocities
@@ -172,7 +204,7 @@ class Simulation:
             "contour_count": hits.contour_count,
             "hits": hits.hit_count,
             "max_strain": metrics.max_strain(self.model, x),
-            "penetration_depth": 0.0,
+            "penetration_depth": self.penetration_depth(),
             "kinetic_energy": metrics.kinetic_energy(self.model, v),
             "potential_energy": metrics.potential_energy(self.model, x),
             "max_speed": float(np.sqrt((v * v).sum(axis=1).max())),
@@ -194,6 +226,16 @@ class Simulation:
     def snapshot(self) -> ClothState:
         """An independent copy of the state, for `restore`."""
         return self._state.copy()
+
+    def measured_forces(self) -> tuple[FloatArray, FloatArray]:
+        """Copies of `grip_forces` and `body_forces`: measurements of the last step, no part of the state; planners keep
+        them beside a snapshot."""
+        return self._grip_forces.copy(), self._body_forces.copy()
+
+    def set_measured_forces(self, forces: tuple[ArrayLike, ArrayLike]) -> None:
+        """What `grip_forces` and `body_forces` show until the next step, from `measured_forces`."""
+        self._grip_forces[:] = as_points(forces[0], "grip forces", len(self._grip_forces))
+        self._body_forces = as_points(forces[1], "body forces", len(self._body_forces)).copy()
 
     def restore(self, snapshot: ClothState) -> None:
         """Back to a snapshot of this simulation, bit for bit.
@@ -233,10 +275,6 @@ class Simulation:
     def held(self, grip: int) -> IntArray:
         """Ids of the vertices that a gripper holds."""
         return self._state.held_vertices[self._state.held_by == self._grip(grip)]
-
-    def set_grip_forces(self, forces: ArrayLike) -> None:
-        """What `grip_forces` shows, (G, 3) [N]: a measurement of the last step, kept by planners beside a snapshot."""
-        self._grip_forces[:] = as_points(forces, "forces", len(self.scene.grips))
 
     def _grip(self, grip: int) -> int:
         if not 0 <= grip < len(self.scene.grips):

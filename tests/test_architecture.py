@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import clothgym as cg
 from clothgym.model import ClothModel
@@ -21,14 +22,15 @@ PACKAGE = Path(cg.__file__).parent
 FLOORS = {
     0: ("_jit", "arrays", "errors"),
     1: ("kernels",),
-    2: ("materials", "fidelity", "state", "mesh", "pattern", "body", "assets"),
+    2: ("materials", "fidelity", "state", "mesh", "rest", "rig", "torso", "body", "assets")
+    + ("pattern", "panel_mesh", "garment"),
     3: ("scene",),
     4: ("model",),
     5: ("detection",),
     6: ("response", "metrics"),
     7: ("pipeline",),
     8: ("simulation",),
-    9: ("recording", "scenes", "benchmarks"),
+    9: ("recording", "scenes", "dressing", "benchmarks"),
     10: ("cli", "commands", "__main__"),
 }
 FLOOR_OF = {name: floor for floor, names in FLOORS.items() for name in names}
@@ -193,6 +195,17 @@ def test_stage_lists():
     assert explicit[2].startswith(f"contact substeps [symplectic_euler {chosen}x") and len(explicit) == 3
 
 
+def test_stage_lists_with_a_body():
+    sphere = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
+    near, label = cg.Body(sphere), "body 64 px, coulomb, 4 points a face"
+    coarse = {"map_size": 64, "body_faces": 2}
+    assert stages(dataclasses.replace(SHEET, bodies=[near]), **coarse) == [f"integrate [xpbd 8x4, {label}]"]
+    names = stages(dataclasses.replace(PILE, bodies=[near]), untangling="none", contacts_near_hits="keep", **coarse)
+    assert names == ["face pairs", "primitive pairs", f"contact substeps [xpbd 8x4, {label}]"]
+    paper = stages(dataclasses.replace(SHEET, bodies=[near]), map_size=64, body_faces=0, body_response="velocity")
+    assert paper == ["integrate [xpbd 8x4, body 64 px, velocity]"]
+
+
 def test_the_label_tells_the_sweeps_that_contact_makes():
     """With contact, sweeps act with symplectic Euler too: a label of x1 beside sweeps = 4 would be wrong."""
     name = stages(PILE, integrator="symplectic_euler", substeps=0, sweeps=5, untangling="none")[-1]
@@ -202,7 +215,14 @@ def test_the_label_tells_the_sweeps_that_contact_makes():
 @pytest.mark.parametrize("near", ["keep", "off_any"])
 @pytest.mark.parametrize("untangling", ["none", "hybrid"])
 @pytest.mark.parametrize(
-    "scene", [SHEET, PILE, dataclasses.replace(PILE, wind=(1.0, 0, 0))], ids=["sheet", "pile", "windy"]
+    "scene",
+    [
+        SHEET,
+        PILE,
+        dataclasses.replace(PILE, wind=(1.0, 0, 0)),
+        dataclasses.replace(PILE, bodies=[cg.Body(trimesh.creation.icosphere(subdivisions=1, radius=0.3))]),
+    ],
+    ids=["sheet", "pile", "windy", "body"],
 )
 def test_every_array_read_was_written_before(scene, untangling, near):
     known = {"positions", "velocities"}
@@ -291,6 +311,8 @@ print(json.dumps([before, sorted(sys.modules)]))
     assert "clothgym.kernels.integrate" in before
     for module in ("clothgym.detection.hierarchy", "clothgym.detection.intersections", "clothgym.response.contact",
                    "clothgym.kernels.contact", "clothgym.kernels.bvh", "clothgym.kernels.wind", "clothgym.kernels.raster",
+                   "clothgym.detection.body_maps", "clothgym.detection.body_mesh", "clothgym.response.body",
+                   "clothgym.kernels.body_map", "clothgym.kernels.body_contact",
                    "clothgym.response.untangling", "clothgym.recording", "rerun", "matplotlib", "gymnasium", "trimesh",
                    "torch", "scipy.spatial", "rich", "typer"):  # fmt: skip
         assert module not in before, module

@@ -304,12 +304,11 @@ def test_ctrl_c_keeps_the_finished_episodes(say, told, tmp_path):
 
 
 def test_mistakes_are_one_line(say, tmp_path):
-    (tmp_path / "policy.zip").write_bytes(b"PK")
     for words, complaint in (
         (["UntangleLayer"], "Missing option '--policy'"),
         (["UntangleShirt", "--policy", "zero"], "no such environment; did you mean clothgym/UntangleLayers-v0?"),
         (["UntangleLayers", "--policy", "nobody"], "policy = 'nobody': expected one of zero, random, pull_apart"),
-        (["UntangleLayers", "--policy", "policy.zip"], "policies from files are not loaded here"),
+        (["UntangleLayers", "--policy", "policy.pkl"], "files of this kind are not loaded"),
         (
             ["UntangleLayers", "--policy", "zero", "--level", "mild"],
             "level = 'mild': expected one of easy, medium, hard",

@@ -73,7 +73,7 @@ def test_hanging_sheet_is_as_specified():
     for kind, k in ((STRUCTURAL, 1e4), (SHEAR, 5e3)):
         assert set(model.spring_stiffness[model.spring_kinds == kind].tolist()) == {k}
     assert not (model.spring_kinds == FLEXION).any()
-    rest, start = model.rest_vertices, scene.start
+    rest, start = scene.cloths[0].rest, scene.start
     assert np.ptp(rest, axis=0) == pytest.approx([1.0, 0.0, 1.0])
     assert (start[:, [0, 2]] == rest[:, [0, 2]]).all()
     assert 0 < np.abs(start[:, 1]).max() <= 1e-3 / n

@@ -11,6 +11,7 @@ import types
 
 import numpy as np
 import pytest
+import trimesh
 
 import clothgym as cg
 from clothgym.response.untangling import Corrections
@@ -515,6 +516,13 @@ def outcome(make, fidelity, speed: float = 0.0):
     return sim.pipeline.describe(), sim.state_hash(), getattr(tree, "box_tests", None), sim.metrics()["work"]
 
 
+def on_ball():
+    """A sheet that lies on a ball finer than its own cells."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    mesh = cg.grid(0.3, 0.3, 6, 6).transformed(translation=(0.02, 0.2005, 0.01))
+    return cg.Scene([cg.Cloth(mesh)], bodies=[cg.Body(ball, slide=0.5)], step=0.01, self_collision=False)
+
+
 EULER = cg.Fidelity(integrator="symplectic_euler", substeps=0)
 GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
@@ -537,6 +545,10 @@ KNOBS = {
     "contacts_near_hits": (tangle, GLOBAL, "keep", 0, "state"),
     "rings": (tangle, GLOBAL, 0, 0, "state"),
     "yield_force": (tangle, dataclasses.replace(GLOBAL, contacts_near_hits="yield"), 5.0, 0, "state"),
+    "map_size": (on_ball, CONTACT, 60, 0, "state"),
+    "body_tolerance": (on_ball, CONTACT, 5e-3, 0, "state"),
+    "body_faces": (on_ball, CONTACT, 0, 0, "state"),
+    "body_response": (on_ball, CONTACT, "velocity", 0, "state"),
 }
 """Field: scene, base, other value, initial speed, and what must change."""
 

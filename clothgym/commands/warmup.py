@@ -142,6 +142,35 @@ def _sides() -> None:
     signed_sides(vertices[::3] + 0.01, vertices, faces)
 
 
+def _body() -> None:
+    import trimesh
+
+    import clothgym as cg
+
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.15)
+    vertices, faces = _crossing_sheets()
+    lifted = vertices + np.array([0.0, 0.151, 0.0])
+    body = cg.Body(ball)
+    for self_collision in (True, False):
+        scene = cg.Scene([cg.Cloth((lifted, faces))], bodies=[body], self_collision=self_collision)
+        for integrator in ("xpbd", "symplectic_euler"):
+            fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), integrator=integrator, substeps=0)
+            simulation = _steps(scene, fidelity, 1)
+    simulation.body_mesh.penetration(lifted, faces)
+    simulation.pipeline.stages[0].body.maps.query(lifted, 0.01)
+
+
+def _dressing() -> None:
+    import clothgym as cg
+    from clothgym.rig import Limb
+
+    post = np.array([[x, y, z] for x in (-0.04, 0.04) for y in (-0.3, 0.3) for z in (-0.04, 0.04)])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([[s[0], *s[n : n + 2]] for s in sides for n in (1, 2)])
+    limb = Limb("head", np.array([[0.0, -0.3, 0.0], [0.0, 1.3, 0.0]]), 0)
+    cg.drape("cuff", cg.Body((post, faces), limbs=(limb,)), fit=False, edge_length=0.06, fidelity="draft", seconds=0.02)
+
+
 def _pictures() -> None:
     from clothgym.recording import frames
 
@@ -159,6 +188,8 @@ PARTS: dict[str, Callable[[], None]] = {
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
     "sides": _sides,
+    "body": _body,
+    "dressing": _dressing,
     "pictures": _pictures,
 }
 """Every feature on a tiny input, in this order."""

@@ -116,7 +116,7 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, separ
 
 
 @device
-def _project_contacts(x, p, inverse_masses, contacts, count, friction, dt):
+def project_contacts(x, p, inverse_masses, contacts, count, friction, dt):
     """One Gauss-Seidel sweep: keep the thickness along the normal, Coulomb friction across it; momentum is kept."""
     for n in range(count):
         q = contacts.quads[n]
@@ -180,7 +180,7 @@ def solve(x, p, cloth, contacts, count, friction, radii, motion, ground, grips, 
         if with_springs:
             project_springs(p, cloth, motion.dt, multipliers)
         hold_grips(p, cloth.inverse_masses, grips, motion.dt, (substep + 1) * motion.dt)
-        _project_contacts(x, p, cloth.inverse_masses, contacts, count, friction, motion.dt)
+        project_contacts(x, p, cloth.inverse_masses, contacts, count, friction, motion.dt)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
     for a in range(grips.vertices.shape[0]):
         for c in range(3):

@@ -101,7 +101,7 @@ def keep_above_ground(x, p, inverse_masses, radii, ground):
 
 
 @device
-def _accelerate(x, v, p, cloth, motion):
+def accelerate(x, v, p, cloth, motion):
     """XPBD prediction: external accelerations only."""
     factor = 1.0 / (1.0 + motion.damping * motion.dt)
     wind = motion.external.shape[0] > 0
@@ -120,7 +120,7 @@ def _accelerate(x, v, p, cloth, motion):
 
 
 @device
-def _euler_velocities(x, v, f, cloth, motion):
+def euler_velocities(x, v, f, cloth, motion):
     """v += dt (f / m + g - c v) with spring forces [Vassilev 2001, eq. 1-3], then velocity modification."""
     f[:] = 0.0
     add_spring_forces(x, cloth, f)
@@ -144,7 +144,7 @@ def _euler_velocities(x, v, f, cloth, motion):
 
 
 @device
-def _finish(x, v, p, dt):
+def finish_substep(x, v, p, dt):
     for i in range(x.shape[0]):
         for c in range(3):
             v[i, c] = (p[i, c] - x[i, c]) / dt
@@ -152,12 +152,12 @@ def _finish(x, v, p, dt):
 
 
 @device
-def _start_grips(grips):
+def start_grips(grips):
     grips.multipliers[:] = 0.0
 
 
 @device
-def _add_grip_forces(grips, dt):
+def add_grip_forces(grips, dt):
     for a in range(grips.vertices.shape[0]):
         for c in range(3):
             grips.forces[a, c] += grips.multipliers[a, c] / (dt * dt)
@@ -166,13 +166,13 @@ def _add_grip_forces(grips, dt):
 @kernel
 def xpbd_predict(x, v, p, cloth, motion):
     """p = x + dt v after gravity, wind and damping changed v."""
-    _accelerate(x, v, p, cloth, motion)
+    accelerate(x, v, p, cloth, motion)
 
 
 @kernel
 def euler_predict(x, v, p, f, cloth, motion):
     """p = x + dt v after spring forces and velocity modification changed v [Vassilev 2001, eq. 3]."""
-    _euler_velocities(x, v, f, cloth, motion)
+    euler_velocities(x, v, f, cloth, motion)
     for i in range(x.shape[0]):
         for c in range(3):
             p[i, c] = x[i, c] + motion.dt * v[i, c]
@@ -181,34 +181,34 @@ def euler_predict(x, v, p, f, cloth, motion):
 @kernel
 def finish(x, v, p, dt):
     """v = (p - x) / dt, x = p."""
-    _finish(x, v, p, dt)
+    finish_substep(x, v, p, dt)
 
 
 @kernel
 def xpbd_substeps(x, v, p, cloth, radii, motion, ground, grips, multipliers, first, count):
     """`count` substeps of XPBD without contacts between cloths, from substep `first` of the step on."""
     for n in range(first, first + count):
-        _accelerate(x, v, p, cloth, motion)
+        accelerate(x, v, p, cloth, motion)
         multipliers[:] = 0.0
-        _start_grips(grips)
+        start_grips(grips)
         for _ in range(motion.sweeps):
             project_springs(p, cloth, motion.dt, multipliers)
             hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
             keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
-        _add_grip_forces(grips, motion.dt)
-        _finish(x, v, p, motion.dt)
+        add_grip_forces(grips, motion.dt)
+        finish_substep(x, v, p, motion.dt)
 
 
 @kernel
 def euler_substeps(x, v, p, f, cloth, radii, motion, ground, grips, first, count):
     """`count` substeps of symplectic Euler without contacts between cloths."""
     for n in range(first, first + count):
-        _euler_velocities(x, v, f, cloth, motion)
+        euler_velocities(x, v, f, cloth, motion)
         for i in range(x.shape[0]):
             for c in range(3):
                 p[i, c] = x[i, c] + motion.dt * v[i, c]
-        _start_grips(grips)
+        start_grips(grips)
         hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
-        _add_grip_forces(grips, motion.dt)
-        _finish(x, v, p, motion.dt)
+        add_grip_forces(grips, motion.dt)
+        finish_substep(x, v, p, motion.dt)

@@ -13,6 +13,7 @@ import colorsys
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -224,6 +225,14 @@ class Drawable:
         object.__setattr__(self, "_arrays", (vertices, faces))
         object.__setattr__(self, "_colours", colours)
 
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(V, 3) unit vertex normals, found once; (3 F, 3) of a flat one, whose faces share no vertices."""
+        vertices, faces = self._arrays
+        normals = np.empty_like(vertices)
+        raster.vertex_normals(vertices, faces, normals)
+        return normals
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -344,8 +353,7 @@ def render(
     picture = _background(background, high, wide)
     if len(faces):
         raster.rasterise(_image_space(vertices, camera, wide, high), faces, camera.near, layers)
-        normals = np.empty_like(vertices)
-        raster.vertex_normals(vertices, faces, normals)
+        normals = drawables[0].normals if len(drawables) == 1 else np.concatenate([d.normals for d in drawables])
         right, up, forward = camera.basis()
         perspective = camera.orthographic_height is None
         key = -0.65 * forward + 0.65 * up - 0.40 * right

@@ -4,6 +4,7 @@ Layout of a file (everything is plain rerun data; any rerun viewer of the same a
 
     world/cloth/<name>        Mesh3D: faces and colour once (static), positions and vertex normals per step
     world/body/<name>         Mesh3D: faces once, vertices at the first step and whenever they moved
+    world/bodies/<name>       Mesh3D of a body that never moves, once, with normals
     world/ground              Mesh3D, once
     world/contours            LineStrips3D per step, one strip a segment, coloured by contour; `clothgym:contour` ids
     world/hits                Points3D: where an edge pierces a triangle
@@ -23,64 +24,26 @@ a second, whichever comes first. A file without its `end` document was cut short
 from __future__ import annotations
 
 import atexit
-import json
 import os
-import time
 import uuid
-import warnings
 import weakref
-import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clothgym.arrays import as_faces, check_number
-from clothgym.kernels import raster
-from clothgym.recording.rerun_read import FORMAT, FORMAT_VERSION, column_checksum, import_rerun, start_viewer
+from clothgym.arrays import as_faces, as_points, check_number
+from clothgym.recording.rerun_chunks import ChunkWriter, Rows, normals
+from clothgym.recording.rerun_layout import blueprint, entity_part, ground_mesh
+from clothgym.recording.rerun_read import FORMAT, FORMAT_VERSION
+from clothgym.recording.rerun_viewer import import_rerun, start_viewer
 
-_BATCH_BYTES = 4_000_000
-_BATCH_SECONDS = 1.0
 _CLOTH_COLOURS = ((86, 150, 214), (226, 148, 76), (108, 182, 112), (190, 124, 200), (214, 202, 96), (112, 196, 200))
-_CONTOUR_COLOURS = np.array(
-    [(235, 52, 52), (255, 190, 30), (60, 220, 90), (70, 160, 255), (230, 90, 230), (40, 225, 225), (255, 120, 40)],
-    dtype=np.uint8,
-)
-_Rows = list[tuple[str, dict[str, NDArray[Any]]]]
-"""Entity and its values at one step."""
+_BODY_COLOUR = (178, 164, 152)
 
 _open_logs: weakref.WeakSet[RerunLog] = weakref.WeakSet()
-
-
-class _Column:
-    """A finished arrow column under a component's name (what `send_columns` asks for)."""
-
-    def __init__(self, descriptor: Any, array: Any) -> None:
-        self.descriptor = descriptor
-        self.array = array
-
-    def component_descriptor(self) -> Any:
-        return self.descriptor
-
-    def as_arrow_array(self) -> Any:
-        return self.array
-
-    def partition(self, lengths: list[int]) -> _Column:
-        """The column cut into one list per step."""
-        import pyarrow as pa
-
-        offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
-        return _Column(self.descriptor, pa.ListArray.from_arrays(offsets, self.array))
-
-
-def _normals(positions: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """(V, 3) vertex normals: the viewer draws a mesh without them flat and unshaded."""
-    normals = np.empty(positions.shape)
-    raster.vertex_normals(positions.astype(np.float64), faces, normals)
-    return normals.astype(np.float32)
 
 
 class RerunLog:
@@ -115,7 +78,7 @@ class RerunLog:
         self.path = None if path is None else Path(path)
         self.spawn = spawn
         self.port = int(check_number(port, "port", 1, 65535, integer=True))
-        self._batch_steps = 1 if spawn else int(check_number(batch_steps, "batch_steps", 1, 4096, integer=True))
+        batch_steps = 1 if spawn else int(check_number(batch_steps, "batch_steps", 1, 4096, integer=True))
         if self.path is not None and self.path.suffix != ".rrd":
             raise ValueError(f"path = '{self.path}': a recording's name must end in .rrd")
         self._rerun = import_rerun()
@@ -136,13 +99,7 @@ class RerunLog:
         self._bodies: dict[str, tuple[str, NDArray[np.int32], NDArray[np.float32] | None]] = {}
         self._first_bodies: dict[str, NDArray[np.float32]] = {}
         self._vertex_count = 0
-        self._rows: dict[str, list[tuple[int, int, dict[str, NDArray[Any]]]]] = {}
-        self._pending = 0
-        self._pending_bytes = 0
-        self._last_write = time.monotonic()
-        self._checksums: dict[str, list[int]] = {}
-        self._styled: set[str] = set()
-        self._lost_viewer = False
+        self._writer = ChunkWriter(self._rerun, self._stream, batch_steps, forgiving=spawn)
         self.steps: list[int] = []
         _keep_until_exit(self)
 
@@ -152,6 +109,7 @@ class RerunLog:
         bodies: Iterable[tuple[str, ArrayLike, ArrayLike]] = (),
         ground: float | None = None,
         bounds: tuple[ArrayLike, ArrayLike] | None = None,
+        still_bodies: Iterable[tuple[str, ArrayLike, ArrayLike]] = (),
     ) -> None:
         """Starts the file: what never changes, and the blueprint.
 
@@ -159,9 +117,10 @@ class RerunLog:
             cloths: (name, faces (F, 3), colour) in the order of the positions; colour is (r, g, b) or None. Faces use
                 the cloth's own vertex ids from 0. A fourth item, a slice, tells which rows of the positions belong to
                 it; without it the cloths lie one after the other and each has as many vertices as its faces name.
-            bodies: (name, vertices (B, 3) [m], faces).
+            bodies: (name, vertices (B, 3) [m], faces) of bodies that may move.
             ground: height of the ground [m], or None.
             bounds: lowest and highest corner of what should be in view [m].
+            still_bodies: the same for bodies that never move; they are written once.
 
         Raises:
             ValueError: opened twice, two meshes of one name, bad faces or slices.
@@ -169,55 +128,63 @@ class RerunLog:
         if self._opened or self._closed:
             raise ValueError("open() was called twice, or after close()")
         meshes = self._describe_cloths(cloths)
-        solid = [(name, np.asarray(vertices, np.float32), vertices, faces) for name, vertices, faces in bodies]
+        solid = [_described_body(*body) for body in bodies]
+        still = [_described_body(*body) for body in still_bodies]
+        names = [name for name, _, _ in solid + still]
+        if len(set(names)) != len(names):
+            raise ValueError(f"bodies: names must differ, got {names}")
         self._start(bounds)
         self._opened = True
         rr = self._rerun
-        self._log_static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+        self._writer.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
         for name, faces, rows, colour in meshes:
-            entity = f"world/cloth/{_part(rr, name)}"
-            self._log_mesh(entity, faces, colour)
+            entity = f"world/cloth/{entity_part(rr, name)}"
+            self._writer.mesh(entity, faces, colour)
             self._cloths.append((entity, rows, faces))
-        for name, vertices, _, raw_faces in solid:
-            faces = as_faces(raw_faces, len(vertices), f"faces of body '{name}'")
-            entity = f"world/body/{_part(rr, name)}"
-            self._log_mesh(entity, faces, (178, 164, 152))
+        for name, vertices, faces in solid:
+            entity = f"world/body/{entity_part(rr, name)}"
+            self._writer.mesh(entity, faces, _BODY_COLOUR)
             self._bodies[name] = (entity, faces, None)
+            self._first_bodies[name] = vertices
+        for name, vertices, faces in still:
+            self._writer.mesh(f"world/bodies/{entity_part(rr, name)}", faces, _BODY_COLOUR, vertices)
         if ground is not None:
-            self._log_ground(float(ground), bounds)
+            self._writer.static("world/ground", ground_mesh(float(ground), bounds))
         document = {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
             "cloths": [{"name": n, "rows": [r.start, r.stop], "faces": len(f)} for n, f, r, _ in meshes],
-            "bodies": [{"name": n, "vertices": len(v)} for n, v, _, _ in solid],
+            "bodies": [{"name": n, "vertices": len(v)} for n, v, _ in solid],
+            "still_bodies": [{"name": n, "vertices": len(v)} for n, v, _ in still],
             "ground": None if ground is None else float(ground),
         }
         self.log_document("scene", document)
-        self._first_bodies = {name: vertices for name, vertices, _, _ in solid}
 
     def open_simulation(self, simulation: Any) -> None:
-        """`open` with what a Simulation holds: its cloths, body meshes and ground."""
+        """`open` with what a Simulation holds: its cloths, bodies and ground.
+
+        The scene's bodies stand still; a simulation that has `body_meshes` (name, vertices, faces) tells at each step
+        where they are.
+        """
         positions = np.asarray(simulation.positions)
         faces = np.asarray(simulation.faces)
         cloths = [
             (name, faces[face_rows] - rows.start, None, slice(rows.start, rows.stop))
             for name, rows, face_rows in simulation.cloth_ranges
         ]
-        bodies: list[tuple[str, ArrayLike, ArrayLike]] = list(getattr(simulation, "body_meshes", ()))
-        ground = getattr(getattr(simulation, "scene", None), "ground", None)
-        everything = np.concatenate([positions, *(np.asarray(v) for _, v, _ in bodies)])
+        scene = getattr(simulation, "scene", None)
+        ground = getattr(scene, "ground", None)
+        moving: list[tuple[str, ArrayLike, ArrayLike]] = list(getattr(simulation, "body_meshes", ()))
+        still = [] if hasattr(simulation, "body_meshes") else _still_bodies(scene)
+        everything = np.concatenate([positions, *(np.asarray(v) for _, v, _ in (*moving, *still))])
         low, high = everything.min(axis=0), everything.max(axis=0)
         low[1] = low[1] if ground is None else min(low[1], ground)
-        self.open(cloths, bodies, ground, (low, high))
+        self.open(cloths, moving, ground, (low, high), still)
 
     def log_document(self, name: str, document: Mapping[str, Any]) -> None:
         """A static JSON document at clothgym/<name>."""
         self._need_open()
-        text = json.dumps(document, allow_nan=False)
-        entity = f"clothgym/{name}"
-        self._log_static(entity, self._rerun.TextDocument(text, media_type="text/plain"))
-        self._checksums[f"/{entity}|TextDocument:text"] = [zlib.crc32(text.encode())]
-        self._flush()
+        self._writer.document(f"clothgym/{name}", document)
 
     def log_action(self, step: int, sim_time: float, action: ArrayLike) -> None:
         """The action that will lead to the given step: on disk before the step is simulated."""
@@ -227,8 +194,8 @@ class RerunLog:
             raise ValueError(f"action: expected numbers, got {values.dtype}")
         kind = "int64" if values.dtype.kind in "biu" else "float32" if values.dtype == np.float32 else "float64"
         row = {f"clothgym:action_{kind}": values.astype(kind).ravel()}
-        self._send("episode/action", [(int(step), _nanoseconds(sim_time), row)])
-        self._flush()
+        self._writer.send("episode/action", [(int(step), _nanoseconds(sim_time), row)])
+        self._writer.flush()
 
     def log_step(
         self,
@@ -265,12 +232,11 @@ class RerunLog:
         x = np.asarray(positions, dtype=np.float32)
         if x.shape != (self._vertex_count, 3):
             raise ValueError(f"positions: expected shape ({self._vertex_count}, 3), got {x.shape}")
-        rows: _Rows = [
-            (entity, {"positions": x[part], "normals": _normals(x[part], faces)})
-            for entity, part, faces in self._cloths
+        rows: Rows = [
+            (entity, {"positions": x[part], "normals": normals(x[part], faces)}) for entity, part, faces in self._cloths
         ]
         moved = self._moved_bodies(bodies or {})
-        rows += [(self._bodies[n][0], {"positions": v, "normals": _normals(v, self._bodies[n][1])}) for n, v in moved]
+        rows += [(self._bodies[n][0], {"positions": v, "normals": normals(v, self._bodies[n][1])}) for n, v in moved]
         if contours is not None:
             segments = np.asarray(contours[0], dtype=np.float32).reshape(-1, 2, 3)
             ids = np.asarray(contours[1], dtype=np.int64).ravel()
@@ -280,20 +246,17 @@ class RerunLog:
         if hits is not None:
             rows.append(("world/hits", {"points": _as_points(hits)}))
         for name, values in (points or {}).items():
-            rows.append((f"world/points/{_part(self._rerun, name)}", {"points": _as_points(values)}))
+            rows.append((f"world/points/{entity_part(self._rerun, name)}", {"points": _as_points(values)}))
         for name, value in (scalars or {}).items():
-            entity = "/".join(_part(self._rerun, part) for part in ("metrics", *name.split("/")))
+            entity = "/".join(entity_part(self._rerun, p) for p in ("metrics", *name.split("/")))
             rows.append((entity, {"scalar": np.array([value], dtype=np.float64)}))
         if outcome is not None:
             rows.append(("episode/outcome", _outcome_row(outcome)))
-        self._keep_rows((int(step), _nanoseconds(sim_time)), rows)  # all or nothing: a refused step leaves no trace
+        self._writer.keep((int(step), _nanoseconds(sim_time)), rows)  # all or nothing: a refused step leaves no trace
         for name, vertices in moved:
             self._bodies[name] = (*self._bodies[name][:2], vertices.copy())
         self.steps.append(int(step))
-        self._pending += 1
-        late = time.monotonic() - self._last_write > _BATCH_SECONDS
-        if self._pending >= self._batch_steps or self._pending_bytes >= _BATCH_BYTES or late:
-            self.write_pending()
+        self._writer.write_when_due()
 
     def log_simulation(
         self,
@@ -319,12 +282,7 @@ class RerunLog:
 
     def write_pending(self) -> None:
         """Writes every finished step to disk."""
-        for entity, rows in self._rows.items():
-            self._send(entity, rows)
-        self._rows.clear()
-        self._pending = self._pending_bytes = 0
-        self._last_write = time.monotonic()
-        self._flush()
+        self._writer.write_pending()
 
     def close(self, **facts: Any) -> None:
         """Writes the rest and the `end` document (with `facts` in it, JSON values). A second call does nothing."""
@@ -333,7 +291,7 @@ class RerunLog:
         try:
             if self._opened:
                 self.write_pending()
-                self.log_document("end", {"steps": len(self.steps), **facts, "checksums": self._checksums})
+                self.log_document("end", {"steps": len(self.steps), **facts, "checksums": self._writer.checksums})
         finally:
             self._closed = True
             _open_logs.discard(self)
@@ -381,44 +339,11 @@ class RerunLog:
             sinks.append(rr.GrpcSink(f"rerun+http://127.0.0.1:{self.port}/proxy"))
         self._stream.set_sinks(*sinks, default_blueprint=layout)
 
-    def _log_mesh(self, entity: str, faces: NDArray[np.int32], colour: Sequence[int]) -> None:
-        mesh = self._rerun.Mesh3D.from_fields(
-            triangle_indices=faces.astype(np.uint32), albedo_factor=[*colour[:3], 255]
-        )
-        self._log_static(entity, mesh)
-        self._checksums[f"/{entity}|Mesh3D:triangle_indices"] = [
-            zlib.crc32(np.array([len(faces)], dtype="<i8").tobytes()),
-            zlib.crc32(faces.astype(np.uint32).tobytes()),
-        ]
-
-    def _log_ground(self, height: float, bounds: tuple[ArrayLike, ArrayLike] | None) -> None:
-        low, high = (np.zeros(3), np.ones(3)) if bounds is None else (np.asarray(b, float) for b in bounds)
-        middle, half = (low + high) / 2, 0.75 * float(np.max(high - low)) + 0.25
-        corners = [
-            (middle[0] + a * half, height, middle[2] + b * half) for a, b in ((-1, -1), (-1, 1), (1, 1), (1, -1))
-        ]
-        mesh = self._rerun.Mesh3D(
-            vertex_positions=corners,
-            triangle_indices=[(0, 1, 2), (0, 2, 3)],
-            vertex_normals=[(0, 1, 0)] * 4,
-            albedo_factor=[96, 100, 106, 255],
-        )
-        self._log_static("world/ground", mesh)
-
-    def _log_static(self, entity: str, archetype: Any) -> None:
-        self._stream.log(entity, archetype, static=True, strict=True)
-
     # ---- parts of a step ----
 
     def _need_open(self) -> None:
         if self._closed or not self._opened:
             raise ValueError("the recording is closed" if self._opened else "call open() before logging")
-
-    def _keep_rows(self, at: tuple[int, int], rows: _Rows) -> None:
-        """Copies of one step's rows, to be written with the batch."""
-        for entity, fields in rows:
-            self._rows.setdefault(entity, []).append((*at, {name: values.copy() for name, values in fields.items()}))
-            self._pending_bytes += sum(values.nbytes for values in fields.values())
 
     def _moved_bodies(self, bodies: Mapping[str, ArrayLike]) -> list[tuple[str, NDArray[np.float32]]]:
         """Name and vertices of the bodies that were never logged, or have moved since."""
@@ -434,49 +359,25 @@ class RerunLog:
                 moved.append((name, vertices))
         return moved
 
-    def _send(self, entity: str, rows: list[tuple[int, int, dict[str, NDArray[Any]]]]) -> None:
-        """Sends rows of one entity as one chunk, and keeps the checksum of every column."""
-        rr = self._rerun
-        steps = np.array([row[0] for row in rows], dtype="<i8")
-        nanoseconds = np.array([row[1] for row in rows], dtype="<i8")
-        times = [
-            rr.TimeColumn("step", sequence=steps),
-            rr.TimeColumn("sim_time", duration=nanoseconds.astype("timedelta64[ns]")),
-        ]
-        fields = {name: [row[2][name] for row in rows] for name in rows[0][2]}
-        lengths = [len(values) for values in next(iter(fields.values()))]
-        columns = _columns(rr, {name: np.concatenate(values) for name, values in fields.items()}, lengths)
-        for column in columns:
-            key = f"/{entity}|{column.component_descriptor().component}"
-            before = self._checksums.get(key, ())
-            sums = column_checksum(column.as_arrow_array(), before[:-2])
-            stamps = (steps.tobytes(), nanoseconds.tobytes())
-            self._checksums[key] = sums + [zlib.crc32(d, c) for d, c in zip(stamps, before[-2:] or (0, 0))]
-        if entity not in self._styled:
-            self._styled.add(entity)
-            self._log_style(entity, fields)
-        self._stream.send_columns(entity, times, columns, strict=True)
 
-    def _log_style(self, entity: str, fields: Mapping[str, Any]) -> None:
-        """Sizes and colours that never change, once per entity."""
-        rr = self._rerun
-        if "segments" in fields:
-            self._log_static(entity, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0)))
-        elif entity == "world/hits":
-            style = rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=(255, 255, 255))
-            self._log_static(entity, style)
-        elif "points" in fields:
-            self._log_static(entity, rr.Points3D.from_fields(radii=0.01, colors=(255, 220, 60)))
+def _described_body(
+    name: str, vertices: ArrayLike, faces: ArrayLike
+) -> tuple[str, NDArray[np.float32], NDArray[np.int32]]:
+    """Checked name, vertices and faces."""
+    points = as_points(vertices, f"vertices of body '{name}'").astype(np.float32)
+    return str(name), points, as_faces(faces, len(points), f"faces of body '{name}'")
 
-    def _flush(self) -> None:
-        try:
-            self._stream.flush(timeout_sec=10.0 if self.spawn else 1e9)
-        except Exception as error:
-            if not self.spawn:
-                raise
-            if not self._lost_viewer:
-                warnings.warn(f"the live viewer no longer answers: {error}", RuntimeWarning, stacklevel=2)
-            self._lost_viewer = True
+
+def _still_bodies(scene: Any) -> list[tuple[str, ArrayLike, ArrayLike]]:
+    """(name, vertices, faces) of a scene's bodies; those that share a name are numbered."""
+    found: list[tuple[str, ArrayLike, ArrayLike]] = []
+    for body in getattr(scene, "bodies", ()):
+        name, count = str(body.name), 1
+        while name in [n for n, _, _ in found]:
+            count += 1
+            name = f"{body.name} {count}"
+        found.append((name, body.mesh.vertices, body.mesh.faces))
+    return found
 
 
 def _as_points(values: ArrayLike) -> NDArray[np.float32]:
@@ -491,74 +392,6 @@ def _outcome_row(outcome: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         "terminated": np.array([bool(outcome.get("terminated", False))]),
         "truncated": np.array([bool(outcome.get("truncated", False))]),
     }
-
-
-def _columns(rr: ModuleType, fields: dict[str, NDArray[Any]], lengths: list[int]) -> list[_Column]:
-    """Arrow columns of one entity from its concatenated values."""
-    import pyarrow as pa
-
-    if "positions" in fields:
-        found = rr.Mesh3D.columns(vertex_positions=fields["positions"], vertex_normals=fields["normals"])
-    elif "segments" in fields:
-        colours = _CONTOUR_COLOURS[fields["contour"] % len(_CONTOUR_COLOURS)]
-        found = rr.LineStrips3D.columns(strips=fields["segments"], colors=colours)
-    elif "points" in fields:
-        found = rr.Points3D.columns(positions=fields["points"])
-    elif "scalar" in fields:
-        found = rr.Scalars.columns(scalars=fields["scalar"])
-    else:
-        found = ()
-    columns = [_Column(c.component_descriptor(), c.component_batch.as_arrow_array()).partition(lengths) for c in found]
-    for name, values in fields.items():
-        if name in ("positions", "normals", "segments", "points", "scalar"):
-            continue
-        label = rr.ComponentDescriptor(name if ":" in name else f"clothgym:{name}")
-        array = pa.array(values.tolist(), pa.string()) if values.dtype.kind == "U" else pa.array(values)
-        columns.append(_Column(label, array).partition(lengths))
-    return columns
-
-
-def blueprint(bounds: tuple[ArrayLike, ArrayLike] | None = None) -> Any:
-    """The layout that is stored in each file: the scene beside time series of what matters."""
-    import_rerun()
-    import rerun.blueprint as rrb
-
-    eye = None
-    if bounds is not None:
-        low, high = (np.asarray(b, dtype=float) for b in bounds)
-        middle, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.1)
-        eye = rrb.EyeControls3D(
-            position=middle + size * np.array([0.55, 0.45, 1.0]), look_target=middle, eye_up=(0.0, 1.0, 0.0)
-        )
-    left, right = rrb.Corner2D.LeftTop, rrb.Corner2D.RightTop
-    plots = [
-        ("contour length [m]", right, ["metrics/contour_length"]),
-        ("reward", left, ["metrics/reward", "metrics/reward/**"]),
-        ("largest strain", right, ["metrics/max_strain"]),
-        ("progress", left, ["metrics/progress", "metrics/is_success"]),
-        ("everything", right, ["metrics/**"]),
-        ("force [N]", right, ["metrics/force_max"]),
-        ("penetration [m]", right, ["metrics/penetration_depth"]),
-    ]
-    series: list[Any] = [
-        rrb.TimeSeriesView(name=name, origin="/", contents=paths, plot_legend=corner) for name, corner, paths in plots
-    ]
-    views, others = series[:4], series[4:]
-    others.append(rrb.TextDocumentView(name="episode", origin="clothgym/episode"))
-    scene = rrb.Spatial3DView(name="scene", origin="world", eye_controls=eye)
-    side = rrb.Vertical(*views, rrb.Tabs(*others))
-    return rrb.Blueprint(
-        rrb.Horizontal(scene, side, column_shares=[2, 1]),
-        rrb.TimePanel(state="collapsed", timeline="sim_time"),
-        collapse_panels=True,
-    )
-
-
-def _part(rr: ModuleType, name: str) -> str:
-    """One part of an entity path; what would separate parts is escaped."""
-    if not str(name).isprintable() or not str(name) or "\\" in str(name):
-        raise ValueError(f"name = {name!r}: a recorded thing needs a printable name without a backslash")
-    return str(rr.escape_entity_path_part(str(name)))
 
 
 def _nanoseconds(seconds: float) -> int:

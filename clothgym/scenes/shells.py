@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothgym import body
+from clothgym import rig
 from clothgym.arrays import FloatArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, Surface
 from clothgym.scene import Cloth, Scene
+from clothgym.torso import torso
 
 if TYPE_CHECKING:
     from clothgym.detection.sides import Sides
@@ -99,7 +100,7 @@ def _clean_sides() -> tuple[Sides, FloatArray]:
 @lru_cache(maxsize=1)
 def _torso() -> tuple[Mesh, FloatArray, FloatArray]:
     """The torso, its vertices (V, 3) without small features and unit normals (V, 3) that vary slowly."""
-    mesh = body.torso(body.load("female"))
+    mesh = torso(rig.load("female"))
     surface = Surface(mesh.faces, len(mesh.vertices))
     start, neighbours, _ = surface.neighbourhood
     owner = np.repeat(np.arange(len(mesh.vertices)), np.diff(start))

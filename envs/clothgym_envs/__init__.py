@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 
 ENVIRONMENTS: dict[str, str] = {
+    "clothgym/DressRing-v0": "clothgym_envs.dress_ring:DressRingEnv",
     "clothgym/UntangleLayers-v0": "clothgym_envs.untangle_layers:UntangleLayersEnv",
 }
 """Id -> entry point. What changes scores gets a new version."""

@@ -94,6 +94,9 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
     def _act(self, action: FloatArray) -> None:
         """Applies an action and simulates one control period."""
 
+    def _measure(self) -> None:
+        """Reads off the state what `_check`, `_judge`, `_values` and `_details` share; called after every action."""
+
     @abstractmethod
     def _values(self) -> dict[str, Any]:
         """Observed values by name, in their units."""
@@ -150,16 +153,18 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
         if np.isnan(act).any():
             raise ValueError(f"action[{int(np.argmax(np.isnan(act)))}] is nan")
         act = np.clip(act, -1.0, 1.0)
-        before, forces = self.simulation.snapshot(), np.array(self.simulation.grip_forces)
+        before, forces, task = self.simulation.snapshot(), self.simulation.measured_forces(), self._task_state()
         self.steps += 1
         try:
             self._act(act)
+            self._measure()
             self._failure = self._check()
         except cg.SimulationError as error:
             self._failure = 2 if "speed" in error.quantity else 1
         if self._failure:
             self.simulation.restore(before)
-            self.simulation.set_grip_forces(forces)
+            self.simulation.set_measured_forces(forces)
+            self._set_task_state(task)
             self._over = True
             floor = -(15.0 + self.worst_cost_per_step * (self.horizon - self.steps + 1))
             self.reward_terms = {name: 0.0 for name in self.reward_terms} | {"failure": floor}
@@ -188,7 +193,7 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
             "contour_length": float(hits.length),
             "contour_count": int(hits.contour_count),
             "max_strain": float(self._strain()),
-            "penetration_depth": 0.0,
+            "penetration_depth": self.simulation.penetration_depth(),
             "force_max": float(np.linalg.norm(forces, axis=1).max()) if len(forces) else 0.0,
             "failure": int(self._failure),
             "episode_seed": int(self.episode_seed),
@@ -203,7 +208,7 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
         """Everything that the rest of the episode depends on; an independent copy."""
         return {
             "simulation": self.simulation.snapshot(),
-            "forces": np.array(self.simulation.grip_forces),
+            "forces": self.simulation.measured_forces(),
             "base": (self.steps, self._over, self._failure, self.episode_seed, dict(self.reward_terms)),
             "task": self._task_state(),
         }
@@ -211,7 +216,7 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
     def set_state(self, state: dict[str, Any]) -> None:
         """Back to a state of this environment, bit for bit."""
         self.simulation.restore(state["simulation"])
-        self.simulation.set_grip_forces(state["forces"])
+        self.simulation.set_measured_forces(state["forces"])
         self.steps, self._over, self._failure, self.episode_seed, terms = state["base"]
         self.reward_terms = dict(terms)
         self._set_task_state(state["task"])

@@ -40,7 +40,7 @@ def record(
     env_id: Annotated[str, typer.Argument(metavar="ENV", help="An id such as clothgym/DressSleeve-v0.")],
     out: Annotated[Path, typer.Argument(metavar="OUT.rrd", help="The file to write.")],
     policy: Annotated[
-        str, typer.Option(help="A policy by name: zero, random, or a scripted one of the task.")
+        str, typer.Option(help="A policy by name (zero, random, a scripted one of the task) or a file of `clothgym train`.")
     ] = "zero",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     level: Annotated[str | None, typer.Option(help="easy, medium or hard.")] = None,
@@ -97,13 +97,13 @@ def _record_episode(
     """Plays one episode under the recorder; Ctrl-C keeps the finished steps."""
     import gymnasium as gym
 
-    from clothgym_envs import policies
+    from clothgym_envs import evaluation
     from clothgym_envs.recorder import RerunRecorder
 
     if "{" in str(out) or "}" in str(out):
         raise ValueError(f"OUT.rrd = '{out}': braces may not stand in it")
     name = full_id(env_id)
-    policy = policies.get(name, policy_name)
+    policy = evaluation.policy_maker(name, policy_name)()
     kwargs: dict[str, Any] = {k: v for k, v in choices.items() if v is not None}
     env = RerunRecorder(gym.make(name, **kwargs), out, spawn=view)
     horizon = steps or (env.spec.max_episode_steps if env.spec is not None else None) or 1000

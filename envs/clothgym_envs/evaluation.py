@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.metadata
 import json
 import os
 import signal
@@ -38,6 +39,9 @@ Exit code: 0 done, 2 bad input, 130 stopped (--out keeps the finished episodes).
 """
 
 PolicyMaker = Callable[[], policies.Policy]
+POLICY_FILES = "clothgym.policies"
+"""Entry-point group: what a file's name ends with (zip) -> a function that makes a policy from a path, and does not run
+code out of the file."""
 
 
 def register(app: typer.Typer) -> None:
@@ -114,6 +118,30 @@ def score(env_id: str, level: str, fidelity: str | Fidelity, progress: float) ->
     return max(0.0, (progress - low["m"]) / (high["m"] - low["m"])), note
 
 
+# --- policies -------------------------------------------------------------------------------------------------------
+
+
+def policy_maker(env_id: str, policy: str) -> PolicyMaker:
+    """What makes a policy, by name or from a file; pickles.
+
+    Raises:
+        ValueError: no such environment or policy, a kind of file that is not loaded, a damaged file.
+    """
+    kind = Path(policy).suffix.removeprefix(".")
+    if policy in policies.names(env_id) or not (kind or os.sep in policy):
+        policies.get(env_id, policy)
+        return functools.partial(policies.get, env_id, policy)
+    loaders = {entry.name: entry for entry in importlib.metadata.entry_points(group=POLICY_FILES)}
+    if kind not in loaders:
+        expected = ", ".join([*policies.names(env_id), *(f"a .{name} file" for name in sorted(loaders))])
+        raise ValueError(
+            f"policy = {policy!r}: files of this kind are not loaded, since they could run code; expected one of {expected}"
+        )
+    maker = functools.partial(loaders[kind].load(), os.path.abspath(policy))  # workers may live in another folder
+    maker()
+    return maker
+
+
 # --- episodes -------------------------------------------------------------------------------------------------------
 
 
@@ -154,7 +182,7 @@ def evaluate(
 
     Args:
         env_id: an id of this package.
-        policy: name of a scripted policy, or a function that makes one (for more than one job it must pickle).
+        policy: name of a scripted policy, a file, or a function that makes one (for more than one job it must pickle).
         seeds: of the episodes.
         level, fidelity: of the environment.
         jobs: processes.
@@ -173,8 +201,8 @@ def evaluate(
             f"seeds: expected at least one, each once, got {len(chosen)} with {len(set(chosen))} different"
         )
     check_number(jobs, "jobs", 1, 1024, integer=True)
-    maker = functools.partial(policies.get, env_id, policy) if isinstance(policy, str) else policy
-    maker()  # a wrong name is told before anything is simulated
+    maker = policy_maker(env_id, policy) if isinstance(policy, str) else policy
+    maker()  # a wrong name or file is told before anything is simulated
     rows: dict[int, dict[str, Any]] = {}
     for row in _rows(env_id, maker, chosen, (level, fidelity), min(jobs, len(chosen)), may_stop):
         rows[row["seed"]] = row
@@ -201,7 +229,7 @@ def _rows(
     import joblib
 
     _environment(env_id, *setup)  # a wrong level is told here, not by a worker
-    with joblib.parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1), _single_threads():
+    with joblib.parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1), single_threads():
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=jobs)
         results = parallel(joblib.delayed(_worker_episode)(env_id, maker, seed, setup) for seed in seeds)
         with contextlib.closing(results):
@@ -222,7 +250,7 @@ def _environment(env_id: str, level: str, fidelity: str | Fidelity) -> Any:
 
 
 @contextlib.contextmanager
-def _single_threads() -> Iterator[None]:
+def single_threads() -> Iterator[None]:
     """Workers inherit one thread each: parallelism is over episodes."""
     before = {name: os.environ.get(name) for name in SINGLE_THREAD}
     os.environ.update(SINGLE_THREAD)
@@ -288,7 +316,12 @@ def _is_measure(name: str, value: Any) -> bool:
 def evaluate_command(
     env_id: Annotated[str, typer.Argument(metavar="ENV", help="An id such as clothgym/UntangleLayers-v0.")],
     policy: Annotated[
-        str, typer.Option("--policy", metavar="NAME", help="zero, random, or a scripted one of the task.")
+        str,
+        typer.Option(
+            "--policy",
+            metavar="NAME|FILE",
+            help="zero, random, a scripted one of the task, or policy.zip of a training.",
+        ),
     ],
     level: Annotated[str, typer.Option(help="easy, medium or hard.")] = "easy",
     fidelity: Annotated[str, typer.Option(help="draft, balanced or accurate.")] = "draft",
@@ -318,8 +351,7 @@ def _evaluate_episodes(
     from clothgym_envs.commands import full_id
 
     env_id = full_id(env)
-    _refuse_file(policy, env_id)
-    policies.get(env_id, policy)
+    maker = policy_maker(env_id, policy)
     origin = provenance()
     started, rows = time.perf_counter(), []
     setup = {"env_id": env_id, "policy": policy, "level": level, "fidelity": fidelity}
@@ -343,7 +375,7 @@ def _evaluate_episodes(
             bar(len(rows), f"success {sum(r['is_success'] for r in rows)}/{len(rows)}")
 
         try:
-            result = evaluate(env_id, policy, TEST_SEEDS[:episodes], level, fidelity, jobs, finished, may_stop)
+            result = evaluate(env_id, maker, TEST_SEEDS[:episodes], level, fidelity, jobs, finished, may_stop)
         except KeyboardInterrupt:
             kept = f"; {len(rows)} are in {out}" if out is not None else "; --out FILE.jsonl would keep them"
             raise Stopped(f"stopped after {len(rows)} of {episodes} episodes{kept}") from None
@@ -352,14 +384,6 @@ def _evaluate_episodes(
     return (
         setup | result | {"seconds": time.perf_counter() - started, "out": None if out is None else str(out)} | origin
     )
-
-
-def _refuse_file(policy: str, env_id: str) -> None:
-    if Path(policy).suffix in (".zip", ".pt", ".pth", ".pkl") or os.sep in policy:
-        raise ValueError(
-            f"--policy {policy!r}: policies from files are not loaded here, since such a file can run code of whoever made it; "
-            f"expected one of {', '.join(policies.names(env_id))}"
-        )
 
 
 def _result_table(document: dict[str, Any]) -> Table:

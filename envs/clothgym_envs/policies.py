@@ -230,8 +230,23 @@ def _cem() -> Policy:
     return CrossEntropy()
 
 
+def _dresser(name: str) -> Callable[[], Policy]:
+    def make() -> Policy:
+        from clothgym_envs import dress_policies
+
+        return getattr(dress_policies, name)()
+
+    return make
+
+
 _COMMON: dict[str, Callable[[], Policy]] = {"zero": Zero, "random": Random}
 _BY_TASK: dict[str, dict[str, Callable[[], Policy]]] = {
+    "clothgym/DressRing-v0": {
+        "straight": _dresser("Straight"),
+        "axis": _dresser("Axis"),
+        "axis_force_limit": _dresser("AxisForceLimit"),
+        "cem": _dresser("CrossEntropy"),
+    },
     "clothgym/UntangleLayers-v0": {"pull_apart": PullApart, "gradient": Gradient, "cem": _cem},
 }
 

@@ -1,0 +1,252 @@
+"""Contact of cloth with the body's map [Vassilev 2001, section 6]: position correction, friction, the paper's eq. 12.
+
+The same substeps as in `integrate` and `contact`, with the body last in every sweep.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numpy.typing import NDArray
+
+from clothgym._jit import device, kernel
+from clothgym.kernels.body_map import BodyMap, find_plane, side_of
+from clothgym.kernels.contact import project_contacts
+from clothgym.kernels.integrate import (
+    accelerate,
+    add_grip_forces,
+    euler_velocities,
+    finish_substep,
+    hold_grips,
+    keep_above_ground,
+)
+from clothgym.kernels.springs import project_springs
+
+
+class BodyContact(NamedTuple):
+    """The body as the sweeps see it, and what they keep about each vertex during a substep."""
+
+    map: BodyMap
+    tolerance: float  # distance that vertices keep [m]
+    face_tolerance: float  # distance that points of faces keep [m]
+    face_push: float  # largest correction for a face in a sweep [m]
+    friction: float  # Coulomb; 0 = slide freely
+    slide: float  # C_fric of eq. 12: share of the tangential velocity that is kept a substep; 1 = leave it
+    rebound: float  # C_refl of eq. 12
+    faces: NDArray  # (F, 3) int32
+    face_points: NDArray  # (P, 3) weights of the points of each face that are tested
+    side: NDArray  # (V,) int8 side of the body at the start of the substep
+    normal: NDArray  # (V, 3) normal of the last contact
+    pressed: NDArray  # (V,) sum of corrections along the normal [m], 0 = no contact
+    dragged: NDArray  # (V, 3) sum of corrections by friction [m]
+    moved: NDArray  # (V, 3) sum of all corrections [m]
+    approach: NDArray  # (V, 3) way of the substep before contact [m]
+    pushes: NDArray  # (V, 4) sum of the corrections that faces ask for, and their number
+    forces: NDArray  # (V, 3) force of the body on each vertex, summed over the substeps of a step [N]
+
+
+@device
+def begin_contact(x, p, inverse_masses, contact):
+    """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
+    for i in range(x.shape[0]):
+        contact.pressed[i] = 0.0
+        for c in range(3):
+            contact.dragged[i, c] = 0.0
+            contact.moved[i, c] = 0.0
+            contact.approach[i, c] = p[i, c] - x[i, c]
+        if inverse_masses[i] != 0.0:
+            contact.side[i] = side_of(x[i, 0], x[i, 1], x[i, 2], contact.map)
+
+
+@device
+def _shift(p, contact, i, nx, ny, nz, amount):
+    p[i, 0] += amount * nx
+    p[i, 1] += amount * ny
+    p[i, 2] += amount * nz
+    contact.moved[i, 0] += amount * nx
+    contact.moved[i, 1] += amount * ny
+    contact.moved[i, 2] += amount * nz
+    contact.normal[i, 0] = nx
+    contact.normal[i, 1] = ny
+    contact.normal[i, 2] = nz
+    contact.pressed[i] += amount
+
+
+@device
+def _hold_back(x, p, contact, i):
+    """Coulomb friction at position level: undoes the way along the surface since the start of the substep, up to
+    friction times what the body pressed."""
+    nx = contact.normal[i, 0]
+    ny = contact.normal[i, 1]
+    nz = contact.normal[i, 2]
+    tx = p[i, 0] - x[i, 0]
+    ty = p[i, 1] - x[i, 1]
+    tz = p[i, 2] - x[i, 2]
+    along = tx * nx + ty * ny + tz * nz
+    gx = contact.dragged[i, 0] - (tx - along * nx)
+    gy = contact.dragged[i, 1] - (ty - along * ny)
+    gz = contact.dragged[i, 2] - (tz - along * nz)
+    size = math.sqrt(gx * gx + gy * gy + gz * gz)
+    limit = contact.friction * contact.pressed[i]
+    scale = limit / size if size > limit else 1.0
+    gx = scale * gx - contact.dragged[i, 0]
+    gy = scale * gy - contact.dragged[i, 1]
+    gz = scale * gz - contact.dragged[i, 2]
+    p[i, 0] += gx
+    p[i, 1] += gy
+    p[i, 2] += gz
+    contact.dragged[i, 0] += gx
+    contact.dragged[i, 1] += gy
+    contact.dragged[i, 2] += gz
+    contact.moved[i, 0] += gx
+    contact.moved[i, 1] += gy
+    contact.moved[i, 2] += gz
+
+
+@device
+def _test_faces(p, inverse_masses, contact):
+    """Points of each face inside the body push its corners by their weights; several answers at a vertex are averaged."""
+    pushes = contact.pushes
+    pushes[:] = 0.0
+    found = False
+    points = contact.face_points
+    for f in range(contact.faces.shape[0]):
+        a = contact.faces[f, 0]
+        b = contact.faces[f, 1]
+        c = contact.faces[f, 2]
+        from_side = contact.side[a]
+        if contact.side[b] != from_side or contact.side[c] != from_side:
+            from_side = -1
+        for n in range(points.shape[0]):
+            wa = points[n, 0]
+            wb = points[n, 1]
+            wc = points[n, 2]
+            x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
+            y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
+            z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
+            texel, side, distance = find_plane(x, y, z, from_side, contact.map, contact.face_tolerance)
+            if texel < 0:
+                continue
+            found = True
+            # the point itself moves by this much
+            amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
+            for k in range(3):
+                v = contact.faces[f, k]
+                for axis in range(3):
+                    pushes[v, axis] += amount * points[n, k] * contact.map.planes[texel, 4 * side + axis]
+                pushes[v, 3] += 1.0
+    if not found:
+        return
+    for i in range(p.shape[0]):
+        if pushes[i, 3] == 0.0 or inverse_masses[i] == 0.0:
+            continue
+        x = pushes[i, 0] / pushes[i, 3]
+        y = pushes[i, 1] / pushes[i, 3]
+        z = pushes[i, 2] / pushes[i, 3]
+        size = math.sqrt(x * x + y * y + z * z)
+        if size > 0.0:
+            _shift(p, contact, i, x / size, y / size, z / size, size)
+
+
+@device
+def keep_off_body(x, p, inverse_masses, contact):
+    """One sweep: points of faces, then vertices (which have the last word), then friction."""
+    if contact.face_points.shape[0] > 0:
+        _test_faces(p, inverse_masses, contact)
+    for i in range(p.shape[0]):
+        if inverse_masses[i] == 0.0:
+            continue
+        texel, side, distance = find_plane(p[i, 0], p[i, 1], p[i, 2], contact.side[i], contact.map, contact.tolerance)
+        if texel >= 0:
+            planes = contact.map.planes
+            at = 4 * side
+            _shift(p, contact, i, planes[texel, at], planes[texel, at + 1], planes[texel, at + 2],
+                   contact.tolerance - distance)  # fmt: skip
+        if contact.pressed[i] > 0.0 and contact.friction > 0.0:
+            _hold_back(x, p, contact, i)
+
+
+@device
+def answer_velocities(v, inverse_masses, contact, dt):
+    """Velocities of touching vertices: v_res = C_fric v_t - C_refl v_n [Vassilev 2001, eq. 12], for approaching ones.
+
+    v_n is the speed before the contact; speed that only the position correction gave is taken away. Books the forces.
+    """
+    for i in range(v.shape[0]):
+        if contact.pressed[i] == 0.0:
+            continue
+        n = contact.normal[i]
+        speed = v[i, 0] * n[0] + v[i, 1] * n[1] + v[i, 2] * n[2]
+        came = (contact.approach[i, 0] * n[0] + contact.approach[i, 1] * n[1] + contact.approach[i, 2] * n[2]) / dt
+        # came < 0: approached, and leaves with C_refl of it; otherwise it was leaving by itself, and keeps that
+        leaving = -contact.rebound * came if came < 0.0 else min(max(speed, 0.0), came)
+        slide = contact.slide if came < 0.0 else 1.0
+        for c in range(3):
+            v[i, c] = slide * (v[i, c] - speed * n[c]) + leaving * n[c]
+        mass = 1.0 / inverse_masses[i]
+        for c in range(3):
+            contact.forces[i, c] += contact.moved[i, c] * mass / (dt * dt)
+
+
+@kernel
+def xpbd_substeps_on_body(x, v, p, cloth, radii, motion, ground, grips, multipliers, contact, count):
+    """`integrate.xpbd_substeps` with a body."""
+    w = cloth.inverse_masses
+    for n in range(count):
+        accelerate(x, v, p, cloth, motion)
+        begin_contact(x, p, w, contact)
+        multipliers[:] = 0.0
+        grips.multipliers[:] = 0.0
+        for _ in range(motion.sweeps):
+            project_springs(p, cloth, motion.dt, multipliers)
+            hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)
+            keep_above_ground(x, p, w, radii, ground)
+            keep_off_body(x, p, w, contact)
+        add_grip_forces(grips, motion.dt)
+        finish_substep(x, v, p, motion.dt)
+        answer_velocities(v, w, contact, motion.dt)
+
+
+@kernel
+def euler_substeps_on_body(x, v, p, f, cloth, radii, motion, ground, grips, contact, count):
+    """`integrate.euler_substeps` with a body."""
+    w = cloth.inverse_masses
+    for n in range(count):
+        euler_velocities(x, v, f, cloth, motion)
+        for i in range(x.shape[0]):
+            for c in range(3):
+                p[i, c] = x[i, c] + motion.dt * v[i, c]
+        begin_contact(x, p, w, contact)
+        grips.multipliers[:] = 0.0
+        hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)
+        keep_above_ground(x, p, w, radii, ground)
+        keep_off_body(x, p, w, contact)
+        add_grip_forces(grips, motion.dt)
+        finish_substep(x, v, p, motion.dt)
+        answer_velocities(v, w, contact, motion.dt)
+
+
+@kernel
+def solve_on_body(
+    x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs, contact
+):
+    """`contact.solve` with a body, which has the last word in every sweep."""
+    w = cloth.inverse_masses
+    begin_contact(x, p, w, contact)
+    multipliers[:] = 0.0
+    grips.multipliers[:] = 0.0
+    for _ in range(motion.sweeps):
+        if with_springs:
+            project_springs(p, cloth, motion.dt, multipliers)
+        hold_grips(p, w, grips, motion.dt, (substep + 1) * motion.dt)
+        project_contacts(x, p, w, contacts, count, friction, motion.dt)
+        keep_above_ground(x, p, w, radii, ground)
+        keep_off_body(x, p, w, contact)
+    add_grip_forces(grips, motion.dt)
+
+
+@kernel
+def answer_body(v, inverse_masses, contact, dt):
+    """Velocities after a substep, see `answer_velocities`."""
+    answer_velocities(v, inverse_masses, contact, dt)

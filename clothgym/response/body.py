@@ -1,0 +1,93 @@
+"""Contact with bodies within a step: the maps, and what the sweeps keep about each vertex."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clothgym.arrays import FloatArray, IntArray
+from clothgym.detection.body_maps import BodyMaps
+from clothgym.fidelity import Fidelity
+from clothgym.kernels.body_contact import BodyContact
+from clothgym.kernels.body_map import BodyMap
+from clothgym.model import ClothModel
+
+if TYPE_CHECKING:
+    from clothgym.pipeline import Frame
+
+REACH = 0.012
+"""[m] a body is felt beside its outline by this much more than the tolerance: what a vertex may sink in a substep."""
+
+_FACE_SHARE = 0.5
+"""Points of faces keep this share of the tolerance: on a round limb they lie nearer than their corners."""
+
+_FACE_PUSH = 2e-3
+"""[m] a point of a face moves no further than this a sweep: a face across a limb must not throw its corners out."""
+
+
+def face_points(parts: int) -> FloatArray:
+    """(parts^2, 3) weights of the midpoints of the equal triangles that a face is cut into; 1: its own midpoint."""
+    points = []
+    for i in range(parts):
+        for j in range(parts - i):
+            points.append((i + 1 / 3, j + 1 / 3))
+            if i + j < parts - 1:
+                points.append((i + 2 / 3, j + 2 / 3))
+    first_two = np.array(points).reshape(-1, 2) / max(parts, 1)
+    return np.column_stack([first_two, 1.0 - first_two.sum(axis=1)])
+
+
+def body_contact(
+    maps: BodyMap, faces: IntArray, vertex_count: int, tolerance: float, face_parts: int, **answer: float
+) -> BodyContact:
+    """What sweeps need against a map; `answer` gives friction, slide and rebound, without it 0, 1 and 0."""
+    return BodyContact(
+        map=maps,
+        tolerance=tolerance,
+        face_tolerance=_FACE_SHARE * tolerance,
+        face_push=_FACE_PUSH,
+        friction=float(answer.get("friction", 0.0)),
+        slide=float(answer.get("slide", 1.0)),
+        rebound=float(answer.get("rebound", 0.0)),
+        faces=np.ascontiguousarray(faces, np.int32),
+        face_points=face_points(face_parts),
+        side=np.zeros(vertex_count, np.int8),
+        normal=np.zeros((vertex_count, 3)),
+        pressed=np.zeros(vertex_count),
+        dragged=np.zeros((vertex_count, 3)),
+        moved=np.zeros((vertex_count, 3)),
+        approach=np.zeros((vertex_count, 3)),
+        pushes=np.zeros((vertex_count, 4)),
+        forces=np.zeros((vertex_count, 3)),
+    )
+
+
+class BodyResponse:
+    """The maps of a scene's bodies and the buffers of contact with them; one friction for all bodies, their mean.
+
+    The substep's answer: position correction to the tolerance, then Coulomb friction, or eq. 12 of [Vassilev 2001].
+    """
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        bodies = model.scene.bodies
+        self.maps = BodyMaps(bodies, fidelity.map_size, fidelity.body_tolerance + REACH)
+        self.label = f"body {fidelity.map_size} px, {fidelity.body_response}" 
+        self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""
+        coulomb = fidelity.body_response == "coulomb"
+        self._contact = body_contact(
+            self.maps.map,
+            model.faces,
+            model.vertex_count,
+            fidelity.body_tolerance,
+            fidelity.body_faces,
+            friction=float(np.mean([body.friction for body in bodies])) if coulomb else 0.0,
+            slide=1.0 if coulomb else float(np.mean([body.slide for body in bodies])),
+            rebound=float(np.mean([body.rebound for body in bodies])),
+        )
+
+    def begin(self, frame: Frame) -> BodyContact:
+        """Ready for a step; its forces are the frame's `body_forces` from now on."""
+        self._contact.forces[:] = 0.0
+        frame.body_forces = self._contact.forces
+        return self._contact

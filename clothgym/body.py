@@ -8,6 +8,7 @@ for note in table.notes: print(note)           # what was found and done while r
 from __future__ import annotations
 
 import io
+import os
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,7 +114,11 @@ class Body:
 
 
 def load(
-    source: str | Path, pose: str = "rest", unit: str | None = None, up: str | None = None, name: str | None = None
+    source: str | os.PathLike[str],
+    pose: str = "rest",
+    unit: str | None = None,
+    up: str | None = None,
+    name: str | None = None,
 ) -> Body:
     """A body of the package in a pose, or the body in a mesh file. It stays where it is: nothing is set on the ground.
 
@@ -192,7 +197,7 @@ def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray
 
 def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[FloatArray, list[str]]:
     """Vertices [m] with y up, and what was decided."""
-    notes = []
+    notes: list[str] = []
     if len(vertices) == 0:
         return vertices, notes  # `Body` says what is missing
     low, high = vertices.min(axis=0), vertices.max(axis=0)

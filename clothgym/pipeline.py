@@ -461,9 +461,7 @@ class _ContactSubstepsOnBody(_ContactSubsteps):
 
     def _answer(self, frame: Frame) -> None:
         super()._answer(frame)
-        self.body_kernels.answer_body(
-            frame.state.velocities, frame.model.inverse_masses, self.contact, self.step.dt
-        )
+        self.body_kernels.answer_body(frame.state.velocities, frame.model.inverse_masses, self.contact, self.step.dt)
 
 
 def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:

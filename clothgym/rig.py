@@ -119,7 +119,7 @@ class Rig:
     @cached_property
     def _strongest(self) -> tuple[IntArray, FloatArray]:
         """(V, 4) bones with the largest weights and their shares, which sum to 1."""
-        ids = np.argsort(-self.weights, axis=1, kind="stable")[:, :_KEPT_WEIGHTS]
+        ids = np.argsort(-self.weights, axis=1, kind="stable")[:, :_KEPT_WEIGHTS].astype(np.int32)
         shares = np.take_along_axis(self.weights, ids, axis=1)
         return ids, shares / shares.sum(axis=1, keepdims=True)
 

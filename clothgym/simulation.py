@@ -192,9 +192,9 @@ class Simulation:
     def metrics(self) -> dict[str, Any]:
         """Numbers of the current state.
 
-        contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m] (of
-        vertices and midpoints of faces below the true surface of the bodies), kinetic_energy and potential_energy [J], max_speed [m/s], time [s], untangling_passes (since
-        reset), work (counters since reset).
+        contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m]
+        (of vertices and midpoints of faces below the true surface of the bodies), kinetic_energy and potential_energy
+        [J], max_speed [m/s], time [s], untangling_passes (since reset), work (counters since reset).
         """
         x, v = self._state.positions, self._state.velocities
         hits = self.last_intersections

@@ -22,8 +22,10 @@ PACKAGE = Path(cg.__file__).parent
 FLOORS = {
     0: ("_jit", "arrays", "errors"),
     1: ("kernels",),
-    2: ("materials", "fidelity", "state", "mesh", "rest", "rig", "torso", "body", "assets")
-    + ("pattern", "panel_mesh", "garment"),
+    2: (
+        *("materials", "fidelity", "state", "mesh", "rest", "rig", "torso", "body", "assets"),
+        *("pattern", "panel_mesh", "garment"),
+    ),
     3: ("scene",),
     4: ("model",),
     5: ("detection",),

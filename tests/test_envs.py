@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import itertools
 import math
 import pickle
@@ -24,6 +25,11 @@ import clothgym as cg
 IDS = tuple(clothgym_envs.ENVIRONMENTS)
 LEVELS = ("easy", "medium", "hard")
 LAYERS = "clothgym/UntangleLayers-v0"
+RING = "clothgym/DressRing-v0"
+SMALL = {LAYERS: {"vertices": 7}, RING: {}}
+"""What makes an environment quick to make."""
+NEARLY = {LAYERS: ("pull_apart", "clean_steps", 3, 7), RING: ("axis", "dressed_steps", 3, 2)}
+"""A policy that succeeds, the counter of good steps on end, how many are reached, and how many are missing then."""
 ALWAYS = {
     "is_success": bool,
     "progress": float,
@@ -34,6 +40,10 @@ ALWAYS = {
     "force_max": float,
     "failure": int,
 }
+
+
+def id_of(env: ClothEnv) -> str:
+    return next(i for i in IDS if clothgym_envs.ENVIRONMENTS[i].endswith(f":{type(env).__name__}"))
 
 
 def kinds_of(env_id: str) -> list[str]:
@@ -104,12 +114,20 @@ def begin(env: ClothEnv, seed: int) -> tuple:
 
 
 def in_contact(env: ClothEnv, seed: int = 5) -> None:
-    """An episode under way: grippers hold cloth, sheets touch."""
+    """An episode under way: grippers hold cloth, sheets touch each other or the limb."""
     env.reset(seed=seed)
     actions = random_actions(env, 8, seed)
-    if env.spec is None or "Layers" in type(env).__name__:
+    if id_of(env) == LAYERS:
         actions[:, 1::4] = -1.0  # down to the cloth, and closed
         actions[:, 3::4] = 1.0
+    elif id_of(env) == RING:
+        policy = policies.get(RING, "straight")
+        policy.reset(env)
+        for _ in range(30):
+            if np.abs(env.simulation.body_forces).max() > 0.0:
+                break
+            play(env, [policy.act(None, {})])
+        actions *= 0.1
     play(env, actions)
 
 
@@ -174,17 +192,20 @@ def test_what_is_unknown_is_refused():
         gym.make(LAYERS, vertices=3)
 
 
-def test_options_are_checked(layers):
+def test_options_are_checked(env):
     with pytest.raises(ValueError, match="options\\['wind'\\]"):
-        layers.reset(seed=0, options={"wind": 3})
-    layers.reset(seed=0, options={})
+        env.reset(seed=0, options={"wind": 3})
+    env.reset(seed=0, options={})
 
 
-def test_a_fidelity_of_ones_own():
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_fidelity_of_ones_own(env_id):
     rough = cg.Fidelity(substeps=2, sweeps=2)
-    env = gym.make(LAYERS, fidelity=rough, vertices=7).unwrapped
+    env = gym.make(env_id, fidelity=rough, **SMALL[env_id]).unwrapped
+    env.reset(seed=0)
     assert env.simulation.pipeline.substeps == 2
-    assert env.simulation.fidelity.untangling == "none", "the hand untangles, not the simulator"
+    if env_id == LAYERS:
+        assert env.simulation.fidelity.untangling == "none", "the hand untangles, not the simulator"
 
 
 def test_names_cover_the_observation(env):
@@ -305,18 +326,19 @@ def test_a_state_continues_to_the_bit(env):
         assert play(env, actions) == onwards
 
 
-def test_a_state_half_way_to_success_continues_to_the_bit(layers):
-    observation, info = layers.reset(seed=1)
-    policy = policies.get(LAYERS, "pull_apart")
-    policy.reset(layers)
-    while info["clean_steps"] < 3:  # counters and potential are no longer those of the start
-        observation, _, _, _, info = layers.step(policy.act(observation, info))
-    state, nothing = layers.get_state(), np.zeros((7, 8))
-    onwards = play(layers, nothing)
+def test_a_state_half_way_to_success_continues_to_the_bit(env):
+    name, counter, reached, missing = NEARLY[id_of(env)]
+    observation, info = env.reset(seed=1)
+    policy = policies.get(id_of(env), name)
+    policy.reset(env)
+    while info[counter] < reached:  # counters and potential are no longer those of the start
+        observation, _, _, _, info = env.step(policy.act(observation, info))
+    state, nothing = env.get_state(), np.zeros((missing, *env.action_space.shape))
+    onwards = play(env, nothing)
     assert onwards[-1][2], "ends in success"
-    layers.reset(seed=2)
-    layers.set_state(state)
-    assert play(layers, nothing) == onwards
+    env.reset(seed=2)
+    env.set_state(state)
+    assert play(env, nothing) == onwards
 
 
 def test_a_state_moves_to_another_environment(env):
@@ -342,11 +364,12 @@ def test_a_copy_continues_to_the_bit(env, duplicate):
     assert twin.reset()[1]["episode_seed"] == env.reset()[1]["episode_seed"]
 
 
-def test_grasps_are_under_way_in_these_tests(layers):
-    in_contact(layers)
-    assert len(layers.simulation.held(0)) > 1
-    assert layers.simulation.last_intersections.hit_count > 0
-    assert np.abs(layers.simulation.grip_forces).max() > 1e-3
+def test_grasps_and_contact_are_under_way_in_these_tests(env):
+    in_contact(env)
+    sim = env.simulation
+    assert len(sim.held(0)) > 1
+    assert sim.last_intersections.hit_count > 0 or np.abs(sim.body_forces).max(initial=0.0) > 0.0
+    assert np.abs(sim.grip_forces).max() > 1e-3
 
 
 # reward and end
@@ -371,11 +394,15 @@ def test_time_runs_out_at_the_horizon(idle):
 
 def test_the_potential_telescopes(idle):
     env, answers = idle
-    if not isinstance(env, type(shared(LAYERS))):
-        pytest.skip("another potential")
-    gained = sum(answer[4]["reward/length"] for answer in answers[1:])
-    share = min(answers[-1][4]["contour_length"] / answers[0][1]["contour_length"], 1.0)
-    assert gained == pytest.approx(10.0 * (1.0 - share), abs=1e-9)
+    if id_of(env) == LAYERS:
+        gained = sum(answer[4]["reward/length"] for answer in answers[1:])
+        change = 1.0 - min(answers[-1][4]["contour_length"] / answers[0][1]["contour_length"], 1.0)
+    else:
+        gained = sum(answer[4]["reward/potential"] for answer in answers[1:])
+        fresh = type(env)()
+        fresh.reset(seed=4)
+        change = env.potential - fresh.potential
+    assert gained == pytest.approx(10.0 * change, abs=1e-9)
 
 
 def test_no_failure_beats_doing_nothing(idle):
@@ -578,9 +605,7 @@ def test_grippers_stay_in_their_workspace(layers):
 
 
 def test_pictures(env):
-    picture_maker = gym.make(
-        next(i for i in IDS if clothgym_envs.ENVIRONMENTS[i].endswith(type(env).__name__)), render_mode="rgb_array"
-    )
+    picture_maker = gym.make(id_of(env), render_mode="rgb_array")
     picture_maker.reset(seed=1)
     base = picture_maker.unwrapped
     before = base.simulation.state_hash()
@@ -617,26 +642,27 @@ def test_frames_a_second_follow_from_the_control_period(env):
 # other processes
 
 
-def test_a_child_makes_it_without_the_import(tmp_path):
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_child_makes_it_without_the_import(tmp_path, env_id):
     code = (
         "import gymnasium, sys\n"
-        f"env = gymnasium.make('clothgym_envs:{LAYERS}', vertices=7)\n"
+        f"env = gymnasium.make('clothgym_envs:{env_id}', **{SMALL[env_id]})\n"
         "env.reset(seed=3)\n"
         "print(env.unwrapped.simulation.state_hash())\n"
         "assert 'stable_baselines3' not in sys.modules and 'rerun' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 0, done.stderr
-    here = gym.make(LAYERS, vertices=7)
+    here = gym.make(env_id, **SMALL[env_id])
     here.reset(seed=3)
     assert done.stdout.strip() == here.unwrapped.simulation.state_hash()
 
 
-def reference_run(seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reference_run(env_id: str, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Observations and rewards (steps, environments, ...) of single environments."""
     observations, rewards = [], []
     for number, seed in enumerate(seeds):
-        env = gym.make(LAYERS, vertices=7)
+        env = gym.make(env_id, **SMALL[env_id])
         env.reset(seed=seed)
         told = [env.step(action) for action in actions[:, number]]
         observations.append([t[0] for t in told])
@@ -644,8 +670,8 @@ def reference_run(seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, np
     return np.swapaxes(observations, 0, 1), np.swapaxes(rewards, 0, 1)
 
 
-def make_layers() -> gym.Env:
-    return gym.make(f"clothgym_envs:{LAYERS}", vertices=7)
+def make_small(env_id: str) -> gym.Env:
+    return gym.make(f"clothgym_envs:{env_id}", **SMALL[env_id])
 
 
 @pytest.fixture
@@ -656,31 +682,33 @@ def importable(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
 
 
-def test_gymnasium_vectors_in_spawned_processes(importable):
-    actions = np.random.default_rng(0).uniform(-1, 1, (3, 2, 8)).astype(np.float32)
-    vector = gym.vector.AsyncVectorEnv([make_layers, make_layers], context="spawn")
+@pytest.mark.parametrize("env_id", IDS)
+def test_gymnasium_vectors_in_spawned_processes(importable, env_id):
+    actions = np.array([random_actions(shared(env_id), 2, seed) for seed in range(3)])
+    vector = gym.vector.AsyncVectorEnv([functools.partial(make_small, env_id)] * 2, context="spawn")
     try:
         vector.reset(seed=[5, 6])
         told = [vector.step(action) for action in actions]
     finally:
         vector.close()
-    observations, rewards = reference_run([5, 6], actions)
+    observations, rewards = reference_run(env_id, [5, 6], actions)
     assert (np.array([t[0] for t in told]) == observations).all()
     assert (np.array([t[1] for t in told]) == rewards).all()
     assert all("max_strain" in t[4] for t in told)
 
 
-def test_stable_baselines_vectors_in_spawned_processes(importable):
+@pytest.mark.parametrize("env_id", IDS)
+def test_stable_baselines_vectors_in_spawned_processes(importable, env_id):
     vectors = pytest.importorskip("stable_baselines3.common.vec_env")
-    actions = np.random.default_rng(1).uniform(-1, 1, (3, 2, 8)).astype(np.float32)
-    vector = vectors.SubprocVecEnv([make_layers, make_layers], start_method="spawn")
+    actions = np.array([random_actions(shared(env_id), 2, seed) for seed in range(3)])
+    vector = vectors.SubprocVecEnv([functools.partial(make_small, env_id)] * 2, start_method="spawn")
     try:
         vector.seed(9)
         vector.reset()
         told = [vector.step(action) for action in actions]
     finally:
         vector.close()
-    observations, rewards = reference_run([9, 10], actions)
+    observations, rewards = reference_run(env_id, [9, 10], actions)
     assert (np.array([t[0] for t in told]) == observations).all()
     assert (np.array([t[1] for t in told]) == rewards).all()
 

@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import clothgym_envs
 import gymnasium as gym
 import numpy as np
 import pytest
-from clothgym_envs import policies
+from clothgym_envs import dress_policies, policies
 from clothgym_envs.planning import CrossEntropy
 from clothgym_envs.policies import Gradient, Pull, PullApart, Puller
 
 LAYERS = "clothgym/UntangleLayers-v0"
 
 
-@pytest.fixture(scope="module")
+CASES = [(env_id, name) for env_id in clothgym_envs.ENVIRONMENTS for name in policies.names(env_id)]
+
+
+@cache
+def shared(env_id: str):
+    """One environment for all tests of a task."""
+    return gym.make(env_id).unwrapped
+
+
+@pytest.fixture
 def env():
-    return gym.make(LAYERS).unwrapped
+    return shared(LAYERS)
 
 
 @pytest.fixture
 def brief(monkeypatch):
-    """A planner that tries little."""
+    """Planners that try little."""
     for name, value in (("candidates", 2), ("iterations", 2), ("elites", 2), ("depth", 4)):
         monkeypatch.setattr(CrossEntropy, name, value)
+        monkeypatch.setattr(dress_policies.CrossEntropy, name, value)
 
 
 def play(env, policy, seed: int, steps: int) -> tuple[list[bytes], dict]:
@@ -53,9 +65,9 @@ def test_unknown_names_are_told():
         policies.get("CartPole-v1", "zero")
 
 
-@pytest.mark.parametrize("name", policies.names(LAYERS))
-def test_actions_are_legal_and_thinking_changes_nothing(env, name, brief):
-    policy = policies.get(LAYERS, name)
+@pytest.mark.parametrize(("env_id", "name"), CASES)
+def test_actions_are_legal_and_thinking_changes_nothing(env_id, name, brief):
+    env, policy = shared(env_id), policies.get(env_id, name)
     observation, info = env.reset(seed=3)
     policy.reset(env)
     for _ in range(5):
@@ -68,13 +80,13 @@ def test_actions_are_legal_and_thinking_changes_nothing(env, name, brief):
         observation, _, _, _, info = env.step(action)
 
 
-@pytest.mark.parametrize("name", policies.names(LAYERS))
-def test_an_episode_repeats_itself(env, name, brief):
-    policy = policies.get(LAYERS, name)
+@pytest.mark.parametrize(("env_id", "name"), CASES)
+def test_an_episode_repeats_itself(env_id, name, brief):
+    env, policy = shared(env_id), policies.get(env_id, name)
     first = play(env, policy, 3, 6)
     play(env, policy, 4, 3)
     assert play(env, policy, 3, 6) == first, "whatever the policy did before"
-    assert play(env, policies.get(LAYERS, name), 3, 6) == first
+    assert play(env, policies.get(env_id, name), 3, 6) == first
 
 
 def test_random_differs_between_episodes(env):

@@ -510,7 +510,6 @@ class RandomPolicy:
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs a command line as `clothgym` would: exit code, standard output, standard error."""
-    import clothgym_envs
 
     entries = {
         "record": SimpleNamespace(load=lambda: commands.register_record),
@@ -518,14 +517,12 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     }
     monkeypatch.setattr(cli, "entry_points", lambda: entries)
 
-    def get(env_id: str, name: str) -> RandomPolicy:
+    def maker(env_id: str, name: str) -> Any:
         if name != "random":
             raise ValueError(f"policy = {name!r}: expected random")
-        return RandomPolicy()
+        return RandomPolicy
 
-    policies = SimpleNamespace(get=get)
-    monkeypatch.setitem(sys.modules, "clothgym_envs.policies", policies)
-    monkeypatch.setattr(clothgym_envs, "policies", policies, raising=False)
+    monkeypatch.setattr("clothgym_envs.evaluation.policy_maker", maker)
 
     def call(*words: Any) -> tuple[int, str, str]:
         code = cli.main([str(word) for word in words])

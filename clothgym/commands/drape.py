@@ -211,7 +211,7 @@ class _Recording:
             self._log.open_simulation(simulation)
             self._simulation, self.steps = simulation, 0
         metrics = simulation.metrics()
-        scalars = {k: float(v) for k, v in metrics.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+        scalars = {k: float(v) for k, v in metrics.items() if isinstance(v, int | float) and k != "time"}
         self._log.log_simulation(self.steps, simulation, scalars=scalars)
         self.steps += 1
 

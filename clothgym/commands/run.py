@@ -240,9 +240,9 @@ def _pictures(simulation: Any, folder: Path | None) -> Iterator[Any]:
 def _view(simulation: Any) -> np.ndarray:
     """(N, 3) points that the fixed camera holds: the start, and what lies below it as far as cloth may fall or swing,
     down to the ground if there is one [m]."""
-    points = [np.asarray(simulation.positions, dtype=float)]
-    points += [np.asarray(vertices, dtype=float) for _, vertices, _ in getattr(simulation, "body_meshes", ())]
-    start = np.concatenate(points)
+    from clothgym.recording.pictures import everything
+
+    start = everything(simulation)
     ground = simulation.scene.ground
     lowest = start[:, 1].min() - np.ptp(start, axis=0).max() if ground is None else min(ground, start[:, 1].min())
     corners = [(x, lowest, z) for x in _ends(start[:, 0]) for z in _ends(start[:, 2])]

@@ -60,7 +60,12 @@ class BodyMaps:
         top, eye = bottom + rows * self.pixel, float(high[2]) + 1.0
         scale = 1.0 / self.pixel
         matrix = np.array(
-            [[scale, 0.0, 0.0, -left * scale], [0.0, -scale, 0.0, top * scale], [0.0, 0.0, -1.0, eye], [0.0, 0.0, 0.0, 1.0]]
+            [
+                [scale, 0.0, 0.0, -left * scale],
+                [0.0, -scale, 0.0, top * scale],
+                [0.0, 0.0, -1.0, eye],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
         )
         image = np.empty((len(self.vertices), 4))
         raster.project(self.vertices, matrix, image)

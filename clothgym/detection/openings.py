@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clothgym.arrays import FloatArray, as_points
-from clothgym.rig import Limb
 from clothgym.kernels import crossing
+from clothgym.rig import Limb
 
 LEGS = "legs"
 """Name of what goes through a hem or a waist: both legs."""

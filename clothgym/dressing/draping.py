@@ -137,6 +137,29 @@ def drape(
     return best
 
 
+def hung(
+    pattern: Pattern | str | os.PathLike[str],
+    body: Body | str | os.PathLike[str] = "female",
+    edge_length: float = 0.025,
+) -> Scene:
+    """The scene of a garment that has just been sewn, fitted to a body, at the default tolerance.
+
+    Raises:
+        ValueError: bad input; a garment that is not worn after sewing, with the openings that are wrong.
+    """
+    given = pattern if isinstance(pattern, Pattern) else Pattern.load(pattern)
+    wearer = body if isinstance(body, Body) else bodies.load(body)
+    how = Fidelity()
+    garment = assemble(fit_placement(given, wearer)[0], edge_length)
+    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH)
+    expected = [_expected(garment.vertices[loop], wearer) for loop in garment.openings]
+    x = sew(garment, maps, how.body_tolerance)
+    worn = _worn(garment, x, wearer, maps, expected)
+    if not all(w.right for w in worn):
+        raise ValueError(f"pattern {given.name!r}: not worn by {wearer.name} after sewing: {_wrong(worn)}")
+    return _scene(garment, x, wearer, materials.get("cotton"), 2.0)
+
+
 def _told(progress: Progress | None, phase: str, text: str) -> Callable[[float, float], None] | None:
     return None if progress is None else lambda done, total: progress(phase, done, total, text)
 
@@ -160,8 +183,17 @@ def _worn(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expected:
 
 
 def _wrong(worn: list[Threading]) -> str:
-    parts = [f"opening for {w.expected} has {', '.join(w.through) or 'nothing'} through it" for w in worn if not w.right]
+    parts = [
+        f"opening for {w.expected} has {', '.join(w.through) or 'nothing'} through it" for w in worn if not w.right
+    ]
     return "; ".join(parts)
+
+
+def _scene(garment: Garment, x: FloatArray, body: Body, material: Material, seconds: float) -> Scene:
+    calm = dataclasses.replace(material, damping=max(material.damping, SETTLING))
+    cloth = Cloth(Mesh(x, np.array(garment.faces)), calm, rest=garment.rest_corners, name=garment.name)
+    low = float(body.mesh.vertices[:, 1].min())
+    return Scene((cloth,), bodies=(body,), ground=low, duration=seconds, name=f"{garment.name} on {body.name}")
 
 
 def _simulate(
@@ -175,10 +207,7 @@ def _simulate(
     on_step: Callable[[Simulation], None] | None,
 ) -> tuple[Simulation, tuple[float, float]]:
     """Gravity until at rest, or until the time is over; mean and 99th percentile of the last speeds [m/s]."""
-    calm = dataclasses.replace(material, damping=max(material.damping, SETTLING))
-    cloth = Cloth(Mesh(x, np.array(garment.faces)), calm, rest=garment.rest_corners, name=garment.name)
-    low = float(body.mesh.vertices[:, 1].min())
-    scene = Scene((cloth,), bodies=(body,), ground=low, duration=seconds, name=f"{garment.name} on {body.name}")
+    scene = _scene(garment, x, body, material, seconds)
     simulation = Simulation(scene, fidelity)
     if on_step is not None:
         on_step(simulation)

@@ -20,7 +20,9 @@ from clothgym._jit import device, kernel
 class BodyMap(NamedTuple):
     """What queries read."""
 
-    planes: NDArray  # (rows * columns, 8) float32: normal and offset of the front, then of the back; offset inf = nothing
+    planes: (
+        NDArray  # (rows * columns, 8) float32: normal and offset of the front, then of the back; offset inf = nothing
+    )
     bounds: NDArray  # (rows * columns, 2) float32: least and greatest z - middle of the body around each texel [m]
     rows: int
     columns: int

@@ -185,6 +185,9 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
     def _strain(self) -> float:
         return cg.metrics.max_strain(self.simulation.model, self.simulation.positions)
 
+    def _penetration(self) -> float:
+        return self.simulation.penetration_depth()
+
     def _info(self, success: bool) -> dict[str, Any]:
         hits = self.simulation.last_intersections
         forces = self.simulation.grip_forces
@@ -193,7 +196,7 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
             "contour_length": float(hits.length),
             "contour_count": int(hits.contour_count),
             "max_strain": float(self._strain()),
-            "penetration_depth": self.simulation.penetration_depth(),
+            "penetration_depth": float(self._penetration()),
             "force_max": float(np.linalg.norm(forces, axis=1).max()) if len(forces) else 0.0,
             "failure": int(self._failure),
             "episode_seed": int(self.episode_seed),

@@ -40,7 +40,8 @@ def record(
     env_id: Annotated[str, typer.Argument(metavar="ENV", help="An id such as clothgym/DressSleeve-v0.")],
     out: Annotated[Path, typer.Argument(metavar="OUT.rrd", help="The file to write.")],
     policy: Annotated[
-        str, typer.Option(help="A policy by name (zero, random, a scripted one of the task) or a file of `clothgym train`.")
+        str,
+        typer.Option(help="A policy by name (zero, random, a scripted one of the task) or a file of `clothgym train`."),
     ] = "zero",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     level: Annotated[str | None, typer.Option(help="easy, medium or hard.")] = None,

@@ -12,7 +12,7 @@ import numpy as np
 
 import clothgym as cg
 from clothgym import fidelity as fidelities
-from clothgym.arrays import FloatArray, IntArray, check_number, read_only
+from clothgym.arrays import FloatArray, IntArray
 from clothgym.body import Body
 from clothgym.garment import Garment, assemble
 from clothgym.materials import Material
@@ -30,7 +30,10 @@ WANTED = 0.25
 CUFF_LENGTH, LIMB_RADIUS = 0.10, 0.045
 _USUAL_RADIUS = 2.0 * LIMB_RADIUS
 STRETCH, FLEXION = 5e3, 3.0
+"""[N/m] of the springs of a draft cuff, stiff enough to stay round."""
 GRIP = cg.Grip(radius=0.06, stiffness=300.0, slip_force=40.0)
+HOLD = 0.5 * math.pi
+"""[rad] to both sides of the top of the leading border that the gripper holds."""
 _BEYOND_ROOT = 0.30
 """[m] the limb goes on behind the wanted length; grippers get `_STOP` of it, so the cuff cannot come around its end."""
 _STOP = 0.05
@@ -40,7 +43,9 @@ way to the goal leads through the limb's side."""
 _WORKSPACE = np.array([[-0.55, -0.45, -0.45], [0.55, 0.5, 0.45]])
 """[m] around the tip."""
 _SETTLE = 12
+"""Simulator steps in which the cuff comes to hang before an episode begins."""
 _STEPS = 3
+"""Simulator steps in a control period."""
 _NOISE = 5e-3
 """[m] standard deviation of sensed places at noise 1."""
 _MAX_DELAY = 2
@@ -56,10 +61,6 @@ _LEVELS: dict[str, dict[str, tuple[float, float]]] = {
     | {"start_x": (0.0, 1.0), "start_y": (0.0, 1.0), "start_z": (0.0, 1.0)},
     "hard": dict.fromkeys(VARIATIONS, (0.0, 1.0)) | {"ease": (0.0, 2.0 / 9.0)},
 }  # fmt: skip
-
-
-HOLD = 0.5 * math.pi
-"""[rad] to both sides of the top of the leading border that the gripper holds."""
 
 
 class Cuff(NamedTuple):
@@ -106,10 +107,11 @@ def cuff(count: int, circumference: float, length: float = CUFF_LENGTH) -> Cuff:
 
 
 class DressRingEnv(ClothEnv):
-    """A cuff, 10 cm long, hangs from a gripper in front of a limb; it has to go over the tip and 18 cm up the limb.
+    """A cuff, 10 cm long, hangs from a gripper in front of a limb and above it; it has to go over the tip and up the limb.
 
-    The limb is a capsule along about -x from its tip; its root is out of reach. The gripper holds the upper part of the
-    cuff's leading border by a soft anchor. It is a sphere of 1 cm that cannot enter the limb.
+    The limb is a capsule, from its tip about along -x; its root is out of reach. The gripper holds the upper half of the
+    cuff's leading border by soft anchors (300 N/m in all, slipping above 40 N). It is a sphere of 1 cm that cannot enter
+    the limb.
 
     Action (3): velocity of the gripper in units of 0.25 m/s, 1 mm a substep, below the collider's tolerance.
 
@@ -117,21 +119,22 @@ class DressRingEnv(ClothEnv):
     At the draft fidelity the cuff does not collide with itself. That helps nobody: contours count as everywhere, and
     success asks for less than an edge of them.
 
-    Success for 5 steps on end: both openings threaded the right way, the leading one at a depth of 0.9 of 20 cm, contour
+    Success for 5 steps on end: both openings threaded the right way, the leading one at a depth of 0.9 of 25 cm, contour
     length below an edge, strain at most 0.15, penetration at most 5 mm, and never `tunnelled` (see
-    `dressing.passed_sideways`, asked of both borders at every simulator step). With a force above 20 N at any time of the
-    episode it is `success_unsafe` instead, which ends the episode too, without the bonus.
+    `dressing.passed_sideways`, asked of both borders at every simulator step). Where both borders are on the limb without
+    ever having passed sideways, cloth between them can be in the limb only, which is penetration. After a force above 20 N
+    at any time of the episode it is `success_unsafe` instead, and the episode goes on.
 
     `force_limb` is the sum of the sizes of all contact forces on the limb [N]; `force_max` the larger of that and the
-    gripper's anchor force. `progress` is the depth when threaded and not tunnelled; `progress_along` is Assistive Gym's
+    gripper's anchor force. `progress` is 0.9 x the depth, 0 when tunnelled, 1 for success; `progress_along` is Assistive Gym's
     measure, how far the opening's centroid is along the limb, threaded or not, offered for comparison.
 
     Reward: 10 x (potential now - before), see `dressing.potential`; - 0.02 |a|^2; - 0.1 clip(strain - 0.15, 0, 1);
     - 0.1 clip(contour growth in edges, 0, 1); - 0.1 x force cost (`dressing.force_cost`); + 5 success.
 
     Args:
-        level: "easy": ease 2, limb tilted up to 6 degrees, start +-10 cm, all else in the middle; "medium": half of all
-            ranges; "hard": all ranges, ease 1.1 to 1.3.
+        level: "easy": ease 2, limb tilted up to 15 and turned up to 7.5 degrees, start +-10 cm, all else in the middle;
+            "medium": half of all ranges, start +-10 cm; "hard": all ranges, ease 1.1 to 1.3.
         fidelity: "draft" 60, "balanced" 120, "accurate" 400 vertices, or a Fidelity (60).
         obs: "state".
 
@@ -157,7 +160,7 @@ class DressRingEnv(ClothEnv):
         self.vertices = VERTICES[name]
         self._finer = math.sqrt(self.vertices / VERTICES["draft"])
         self._self_collision = name != "draft"
-        self.horizon, self.wanted = 60, WANTED
+        self.horizon, self.wanted, self.potential = 60, WANTED, 0.0
         self.reward_terms = {
             n: 0.0 for n in ("potential", "action", "strain", "contour", "force", "success", "failure")
         }
@@ -210,7 +213,7 @@ class DressRingEnv(ClothEnv):
         root = np.array([-length, 0.0, 0.0])
         tip = root + length * way
         self.limb = LimbPath(np.array([root, tip]), radius)
-        self.camera = Camera(tuple(tip + [0.4, 0.35, 0.9]), tuple(tip - [0.03, 0.0, 0.0]))
+        self.camera = Camera(tuple(tip + np.array([0.4, 0.35, 0.9])), tuple(tip + np.array([-0.03, 0.0, 0.0])))
         ease = 1.1 + 0.9 * v["ease"]
         stiffness = 10.0 ** ((2.0 * v["stiffness"] - 1.0) * math.log10(3.0))
         friction = 0.6 * v["friction"]
@@ -258,7 +261,7 @@ class DressRingEnv(ClothEnv):
         self._held_steps, self._tunnelled, self._peak_force = 0, False, 0.0
         self._contour_edges = 0.0
         self._measure()
-        self._potential = self._worth()
+        self.potential = self._worth()
 
     def _act(self, action: FloatArray) -> None:
         sim, limb, borders = self.simulation, self.limb, (self.cuff.leading, self.cuff.trailing)
@@ -287,7 +290,8 @@ class DressRingEnv(ClothEnv):
 
     def _forces(self) -> tuple[float, float]:
         """Sum of the contact forces on the limb, and the gripper's [N]."""
-        return dressing.limb_force(self.simulation.body_forces)[0], float(np.linalg.norm(self.simulation.grip_forces[0]))
+        sim = self.simulation
+        return dressing.limb_force(sim.body_forces)[0], float(np.linalg.norm(sim.grip_forces[0]))
 
     def _measure(self) -> None:
         """What reward, info and observation share."""
@@ -301,9 +305,16 @@ class DressRingEnv(ClothEnv):
         ends = model.surface.edges
         lengths = np.sqrt(((x[ends[:, 1]] - x[ends[:, 0]]) ** 2).sum(axis=1))
         self._strains = lengths / model.edge_rest - 1.0
+        # the body's mesh lies in the capsule, so where nothing is in the capsule there is nothing to look up
+        points = np.concatenate([x, x[model.faces].mean(axis=1)])
+        inside = self.limb.skin_distances(points).min() < 0.0
+        self._depth = self.simulation.penetration_depth() if inside else 0.0
 
     def _strain(self) -> float:
         return float(self._strains.max())
+
+    def _penetration(self) -> float:
+        return self._depth
 
     def _worth(self) -> float:
         return dressing.potential(self.worn[0], self.openings[0], self.limb, self._approach, self._tunnelled)
@@ -316,16 +327,16 @@ class DressRingEnv(ClothEnv):
             and not self._tunnelled
             and self._strain() <= dressing.MAX_STRAIN
             and self.simulation.last_intersections.length < self.edge
-            and self.simulation.penetration_depth() <= dressing.MAX_PENETRATION
+            and self._penetration() <= dressing.MAX_PENETRATION
         )
 
     def _judge(self, action: FloatArray) -> tuple[dict[str, float], bool]:
-        before, self._potential = self._potential, self._worth()
+        before, self.potential = self.potential, self._worth()
         edges, self._contour_edges = self._contour_edges, self.simulation.last_intersections.length / self.edge
         self._held_steps = self._held_steps + 1 if self._dressed() else 0
         success = self._held_steps >= HELD_STEPS and self._peak_force <= dressing.UNSAFE_FORCE
         terms = {
-            "potential": 10.0 * (self._potential - before),
+            "potential": 10.0 * (self.potential - before),
             "action": -0.02 * float(action @ action),
             "strain": -0.1 * min(max(self._strain() - dressing.MAX_STRAIN, 0.0), 1.0),
             "contour": -0.1 * min(max(self._contour_edges - edges, 0.0), 1.0),
@@ -351,7 +362,7 @@ class DressRingEnv(ClothEnv):
             "max_strain": self._strain(),
             "mean_strain": float(self._strains.mean()),
             "contour_length": sim.last_intersections.length / self.edge,
-            "penetration": sim.penetration_depth(),
+            "penetration": self._penetration(),
             "force_sum": total,
             "force_peak": peak,
             "time_left": 1.0 - self.steps / self.horizon,
@@ -376,7 +387,7 @@ class DressRingEnv(ClothEnv):
         dressed = self._held_steps >= HELD_STEPS
         safe = self._peak_force <= dressing.UNSAFE_FORCE
         return {
-            "progress": 1.0 if dressed and safe else (0.0 if self._tunnelled else first.depth),
+            "progress": 1.0 if dressed and safe else (0.0 if self._tunnelled else dressing.NEEDED_DEPTH * first.depth),
             "progress_along": min(max(first.along / WANTED, 0.0), 1.0),
             "success_unsafe": bool(dressed and not safe),
             "depth": float(first.depth),
@@ -405,7 +416,7 @@ class DressRingEnv(ClothEnv):
             "tunnelled": self._tunnelled,
             "peak_force": self._peak_force,
             "contour_edges": self._contour_edges,
-            "potential": self._potential,
+            "potential": self.potential,
         }
 
     def _set_task_state(self, state: dict[str, Any]) -> None:
@@ -415,7 +426,7 @@ class DressRingEnv(ClothEnv):
         self._tunnelled = state["tunnelled"]
         self._peak_force = state["peak_force"]
         self._contour_edges = state["contour_edges"]
-        self._potential = state["potential"]
+        self.potential = state["potential"]
         self._measure()
 
 

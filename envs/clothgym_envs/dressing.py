@@ -70,7 +70,8 @@ class LimbPath:
         """Nearest places on the path (P, 3) [m], how far from the tip they are along it (P,) [m], and unit directions
         towards the root there (P, 3)."""
         x = np.atleast_2d(np.asarray(points, float))
-        ends, ways = self.points[1:], self.points[:-1] - self.points[1:]  # each segment from its far end towards the root
+        ends = self.points[1:]
+        ways = self.points[:-1] - ends  # towards the root
         sizes = np.linalg.norm(ways, axis=1)
         share = np.clip(np.einsum("psc,sc->ps", x[:, None] - ends, ways) / sizes**2, 0.0, 1.0)
         places = ends + share[:, :, None] * ways
@@ -89,6 +90,10 @@ class LimbPath:
         starts = np.concatenate([[0.0], np.cumsum(sizes)])[:-1]
         k = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, len(sizes) - 1)
         return back[k] + ((s - starts[k]) / sizes[k])[:, None] * ways[k]
+
+    def skin_distances(self, points: FloatArray) -> FloatArray:
+        """(P,) signed distances of points (P, 3) from the skin [m], negative inside."""
+        return path_distances(points, self.points) - self.radius
 
     def keep_out(self, point: ArrayLike, clearance: float = GRIPPER_RADIUS) -> FloatArray:
         """(3,) the nearest place to a point that is not nearer to the skin than the clearance."""
@@ -151,6 +156,17 @@ def threaded(loop: FloatArray, limb: LimbPath) -> int:
     return crossing_number(loop, limb.rooted)
 
 
+def path_distances(points: FloatArray, path: FloatArray) -> FloatArray:
+    """(P,) distances of points (P, 3) from a polyline (N, 3) [m]."""
+    squared = np.full(len(points), np.inf)
+    for k in range(len(path) - 1):
+        way, r = path[k + 1] - path[k], points - path[k]
+        share = np.minimum(np.maximum(r @ (way / (way @ way)), 0.0), 1.0)
+        gap = r - share[:, None] * way
+        squared = np.minimum(squared, np.einsum("ij,ij->i", gap, gap))
+    return np.sqrt(squared)
+
+
 def edge_distances(starts: FloatArray, ends: FloatArray, path: FloatArray) -> FloatArray:
     """(E,) least distance [m] of each segment (E, 3), (E, 3) from a polyline (N, 3)."""
     least = np.full(len(starts), np.inf)
@@ -165,7 +181,9 @@ def edge_distances(starts: FloatArray, ends: FloatArray, path: FloatArray) -> Fl
         # inner solution, then each of the four borders: the least of all is the distance
         s = np.divide(b * f - c * e, spread, out=np.zeros_like(a), where=spread > 1e-14 * a * e)
         candidates = [np.clip(s, 0.0, 1.0), np.zeros_like(a), np.ones_like(a)]
-        candidates += [np.clip(np.divide(t * b - c, a, out=np.zeros_like(a), where=a > 0.0), 0.0, 1.0) for t in (0.0, 1.0)]
+        for t in (0.0, 1.0):
+            s = np.divide(t * b - c, a, out=np.zeros_like(a), where=a > 0.0)
+            candidates.append(np.clip(s, 0.0, 1.0))
         for s in candidates:
             t = np.clip((f + s * b) / e, 0.0, 1.0)
             gap = r + s[:, None] * along - t[:, None] * way
@@ -192,7 +210,7 @@ def passed_sideways(before: FloatArray, after: FloatArray, limb: LimbPath) -> bo
     moved = np.sqrt(((after - before) ** 2).sum(axis=1).max())
     sides = np.sqrt(max(_longest(before), _longest(after)))
     # quick: vertices alone bound the distance of their edges, and the prolonged root bounds the path from below
-    near = min(_vertex_distance(before, limb), _vertex_distance(after, limb)) - 0.5 * sides
+    near = min(path_distances(before, limb.rooted).min(), path_distances(after, limb.rooted).min()) - 0.5 * sides
     if near >= core and 2.0 * near > moved:
         return False
     ways = np.sqrt(((after - before) ** 2).sum(axis=1))
@@ -206,16 +224,6 @@ def _longest(loop: FloatArray) -> float:
     """Square of the longest edge [m^2]."""
     sides = np.concatenate([loop[1:], loop[:1]]) - loop
     return float(np.einsum("ij,ij->i", sides, sides).max())
-
-
-def _vertex_distance(loop: FloatArray, limb: LimbPath) -> float:
-    """Least distance of a loop's vertices from the rooted path [m]."""
-    path, least = limb.rooted, np.inf
-    for k in range(len(path) - 1):
-        way, r = path[k + 1] - path[k], loop - path[k]
-        gap = r - np.clip(r @ way / (way @ way), 0.0, 1.0)[:, None] * way
-        least = min(least, float(np.einsum("ij,ij->i", gap, gap).min()))
-    return float(np.sqrt(least))
 
 
 class Worn(NamedTuple):

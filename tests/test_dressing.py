@@ -215,7 +215,7 @@ def test_what_touches_the_limbs_path_is_always_found():
     found = missed = clear = leaps = 0
     for number in range(240):
         count = int(rng.integers(3, 9))
-        before = ring(*rng.uniform(-0.15, 0.15, 3), radius=0.08, count=count, turned=bool(number % 2))
+        before = ring(*rng.uniform((-0.3, -0.15, -0.15), (0.05, 0.15, 0.15)), 0.08, count, bool(number % 2))
         before += rng.normal(0.0, 0.03, before.shape)
         reach = 10.0 ** rng.uniform(-2.5, -0.3)
         after = before + rng.normal(0.0, reach, 3) + rng.normal(0.0, 0.3 * reach, before.shape)

@@ -1,0 +1,1 @@
+"""`clothgym demo`: the tour, one file a section."""

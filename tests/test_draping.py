@@ -52,9 +52,11 @@ def test_the_report_is_what_an_outsider_measures(draped: cg.Draped):
     x, report = draped.positions, draped.report
     assert np.percentile(np.abs(strains(draped.garment, x)), 99) <= 0.1
     skin = trimesh.Trimesh(draped.body.mesh.vertices, draped.body.mesh.faces, process=False)
-    nearest, distance, face = trimesh.proximity.closest_point_naive(skin, x[::40])
-    away = np.einsum("ij,ij->i", x[::40] - nearest, skin.face_normals[face])
-    assert distance[away < 0].max(initial=0.0) <= 3e-3
+    some = x[::25]
+    nearest, distance, face = trimesh.proximity.closest_point_naive(skin, some)
+    below = np.einsum("ij,ij->i", some - nearest, skin.face_normals[face]) < 0
+    assert distance[below].max(initial=0.0) <= report["penetration_max"] + 1e-9
+    assert distance.min() < 4e-3, "it touches"
     speeds = np.linalg.norm(draped.simulation.velocities, axis=1)
     assert speeds.mean() < 0.01
 
@@ -113,12 +115,14 @@ def test_retries_print_their_shift(woman: cg.Body, monkeypatch: pytest.MonkeyPat
     assert {"attempt 1, shift +500 mm", "attempt 2, shift +0 mm"} <= set(told)
 
 
-def test_a_garment_that_falls_off_is_not_worn(woman: cg.Body):
-    """A skirt 1.6 times as wide slides over the hips: closed, clean, without strain, and still not worn."""
+def test_a_garment_that_falls_off_is_not_worn(woman: cg.Body, monkeypatch: pytest.MonkeyPatch):
+    """A skirt 1.6 times as wide slides to the feet: closed, clean, both legs through it, and still not worn."""
+    monkeypatch.setattr(draping, "SHIFTS", (0.0,))
     wide = Pattern.load("skirt").scaled(1.6, placement=False)
-    result = cg.drape(wide, woman, edge_length=0.05, seconds=1.5)
-    assert not result.report["worn"] or result.positions[:, 1].max() < 0.75 * woman.mesh.vertices[:, 1].max()
-    assert result.report["penetration_max"] < 0.02
+    result = cg.drape(wide, woman, edge_length=0.06, seconds=1.5)
+    assert all(opening["right"] for opening in result.report["openings"])
+    assert not result.report["worn"]
+    assert any("slid by" in note for note in result.notes)
 
 
 def test_sewing_closes_without_hits_and_without_a_twist(woman: cg.Body):
@@ -151,7 +155,7 @@ def test_a_body_without_a_skeleton_can_wear_a_cuff():
     result = cg.drape("cuff", body, fit=False, edge_length=0.02, seconds=0.4)
     assert result.report["worn"]
     assert [o["expected"] for o in result.report["openings"]] == ["body", "body"]
-    beside = cg.Body(trimesh.Trimesh(post.vertices + [0, -1, 0], post.faces), name="beside")
+    beside = cg.Body(trimesh.Trimesh(post.vertices - np.array([0, 1, 0]), post.faces), name="beside")
     assert not cg.drape("cuff", beside, fit=False, edge_length=0.02, seconds=0.1).report["worn"]
 
 

@@ -35,6 +35,9 @@ SHIFTS = (0.0, 0.03, 0.06, -0.02, 0.09)
 SETTLING = 4.0
 """[1/s] least damping while a garment comes to rest: the drape is wanted, not the way to it."""
 
+SLIDE_LIMIT = 0.2
+"""[m] an opening whose middle moves further than this after sewing slid off: a skirt around the ankles is not worn."""
+
 _WINDOW = 0.1
 """[s] speeds are means over this time: what trembles in place is at rest."""
 _LEAST_WINDOWS = 5
@@ -125,12 +128,13 @@ def drape(
         tell = _told(progress, "drape", text)
         simulation, speeds = _simulate(garment, x, wearer, cloth_material, how, seconds, tell, on_step)
         worn = _worn(garment, np.array(simulation.positions), wearer, maps, expected)
-        report = _report(garment, simulation, speeds, worn)
+        slides = _slides(garment, x, np.array(simulation.positions))
+        report = _report(garment, simulation, speeds, worn, slides)
         report |= {"shift": shift, "attempts": attempt, "seconds": time.perf_counter() - started}
         best = Draped(garment, wearer, simulation, report, tuple(notes))
         if report["worn"]:
             return best
-        notes.append(f"{text}: not worn at the end, {_wrong(worn)}")
+        notes.append(f"{text}: not worn at the end, {_wrong(worn, slides)}")
         if attempt == len(SHIFTS):
             best = dataclasses.replace(best, notes=tuple(notes))
     assert best is not None
@@ -182,10 +186,18 @@ def _worn(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expected:
     return found
 
 
-def _wrong(worn: list[Threading]) -> str:
+def _slides(garment: Garment, sewn: FloatArray, x: FloatArray) -> list[float]:
+    """How far the middle of each opening moved since the seams were closed [m]."""
+    return [float(np.linalg.norm((x[loop] - sewn[loop]).mean(axis=0))) for loop in garment.openings]
+
+
+def _wrong(worn: list[Threading], slides: list[float] | None = None) -> str:
     parts = [
         f"opening for {w.expected} has {', '.join(w.through) or 'nothing'} through it" for w in worn if not w.right
     ]
+    for w, slide in zip(worn, slides or []):
+        if slide > SLIDE_LIMIT:
+            parts.append(f"opening for {w.expected} slid by {1000 * slide:.0f} mm")
     return "; ".join(parts)
 
 
@@ -240,7 +252,11 @@ def _speeds(past: list[FloatArray], step: float) -> tuple[float, float]:
 
 
 def _report(
-    garment: Garment, simulation: Simulation, speeds: tuple[float, float], worn: list[Threading]
+    garment: Garment,
+    simulation: Simulation,
+    speeds: tuple[float, float],
+    worn: list[Threading],
+    slides: list[float],
 ) -> dict[str, Any]:
     x = np.array(simulation.positions)
     surface, rest = rest_of(garment)
@@ -251,7 +267,7 @@ def _report(
     hits = simulation.last_intersections
     mean, p99 = speeds
     return {
-        "worn": all(w.right for w in worn),
+        "worn": all(w.right for w in worn) and max(slides) <= SLIDE_LIMIT,
         "at_rest": _rests(mean, p99),
         "hits": int(hits.hit_count),
         "contour_length": float(hits.length),
@@ -265,5 +281,8 @@ def _report(
         "simulated_seconds": simulation.time,
         "vertices": len(x),
         "faces": len(garment.faces),
-        "openings": [{"expected": w.expected, "through": list(w.through), "right": w.right} for w in worn],
+        "openings": [
+            {"expected": w.expected, "through": list(w.through), "right": w.right, "slide": slide}
+            for w, slide in zip(worn, slides)
+        ],
     }

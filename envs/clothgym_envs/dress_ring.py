@@ -85,7 +85,9 @@ def _sewn(count: int) -> tuple[Garment, FloatArray, FloatArray]:
     panels = tuple(dataclasses.replace(panel, vertices=panel.vertices * scale) for panel in pattern.panels)
     edge = math.sqrt(2.0 / math.sqrt(3.0) * circumference * CUFF_LENGTH / count)
     # the count of vertices is no smooth function of the edge
-    tried = [assemble(dataclasses.replace(pattern, panels=panels), edge * f) for f in np.arange(0.85, 1.2, 0.05)]
+    tried = [
+        assemble(dataclasses.replace(pattern, panels=panels), edge * f) for f in (0.98, 1.02, 1.04, 1.05, 1.06, 1.1)
+    ]
     garment = min(tried, key=lambda g: abs(len(g.vertices) - count))
     turn, along = np.zeros(len(garment.vertices)), np.zeros(len(garment.vertices))
     for number, (mesh, ids) in enumerate(zip(garment.panel_meshes, garment.welded)):

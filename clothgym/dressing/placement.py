@@ -26,6 +26,9 @@ _COARSE = 0.03
 """[m] edges of the garment that the fit is found with."""
 _PUSH_ROUNDS = 30
 _WAIST_STEP = 0.005
+_BESIDE_SHOULDERS = 0.02
+_TRUNK_SHARE = 0.125
+"""Half the width of a person's trunk is less than this share of the height."""
 
 
 def fit(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
@@ -145,15 +148,16 @@ def _to_waist(garment: Garment, body: Body) -> FloatArray:
 
 
 def _trunk_faces(body: Body) -> np.ndarray:
-    """Faces without those of the arms, as far as the limbs tell."""
-    faces = body.mesh.faces
-    arms = [limb.points[limb.start + 1 :] for limb in body.limbs if limb.name.endswith("arm")]
-    if not arms:
-        return faces
-    centres = body.mesh.vertices[faces].mean(axis=1)
-    shoulder = np.array([limb.points[limb.start] for limb in body.limbs if limb.name.endswith("arm")])
-    out = np.abs(centres[:, 0] - shoulder[:, 0].mean()) > 0.5 * np.ptp(shoulder[:, 0]) + 0.02
-    return faces[~out]
+    """Faces without those of the arms: by the shoulders where the limbs are known, else by a person's proportions."""
+    vertices, faces = body.mesh.vertices, body.mesh.faces
+    shoulders = np.array([limb.points[limb.start] for limb in body.limbs if limb.name.endswith("arm")])
+    if len(shoulders):
+        middle, half = float(shoulders[:, 0].mean()), 0.5 * float(np.ptp(shoulders[:, 0])) + _BESIDE_SHOULDERS
+    else:
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        middle, half = 0.5 * float(low[0] + high[0]), _TRUNK_SHARE * float(high[1] - low[1])
+    centres = vertices[faces].mean(axis=1)
+    return faces[np.abs(centres[:, 0] - middle) <= half]
 
 
 def _clear(pattern: Pattern, body: Body) -> tuple[Pattern, dict[str, FloatArray]]:

@@ -434,9 +434,9 @@ def test_cheats_do_not_pay(env, cheat):
 def ghost(request) -> DressRingEnv:
     """A limb that only rules know: the cuff hangs 17 cm beside it, and the real limb is out of the way."""
     env = gym.make(RING, fidelity=request.param).unwrapped
-    env.reset(seed=1)
+    env.reset(seed=1, options={"variation": {"shoulder": 0.5, "yaw": 0.5}})
     way = env.limb.tip - env.limb.points[0]
-    tip = env.openings[0].centroid + 0.06 * way / env.limb.length + np.array([0.0, 0.0, 0.17])
+    tip = env.openings[0].centroid + 0.1 * way / env.limb.length + np.array([0.0, 0.0, 0.17])
     env.limb = LimbPath(np.array([tip - way, tip]), env.limb.radius)
     env._measure()
     return env
@@ -446,7 +446,7 @@ def test_a_cuff_torn_through_the_limb_never_scores(ghost):
     """The worst case: nothing holds it up. Pulled sideways through the limb, then up to where a worn cuff would be."""
     told = []
     for number in range(50):
-        action = towards(ghost, ghost.limb.at(0.15 if number < 25 else 0.26)[0])
+        action = towards(ghost, ghost.limb.at(0.1 if number < 25 else 0.26)[0])
         told.append(ghost.step(np.clip(action, -1.0, 1.0)))
     infos = [answer[4] for answer in told]
     assert infos[-1]["threaded"] == 1
@@ -455,7 +455,7 @@ def test_a_cuff_torn_through_the_limb_never_scores(ghost):
     torn = [info["tunnelled"] for info in infos]
     assert torn.index(True) <= [info["threaded"] for info in infos].index(1), "before the number changes"
     assert torn == sorted(torn), "once torn, always torn"
-    assert not torn[4], "beside the limb nothing has happened yet"
+    assert not torn[1], "beside the limb nothing has happened yet"
     assert not any(info["is_success"] for info in infos)
     assert infos[-1]["progress"] == 0.0
     assert sum(answer[1] for answer in told) < -1.0
@@ -463,19 +463,19 @@ def test_a_cuff_torn_through_the_limb_never_scores(ghost):
 
 def test_pulled_through_and_out_again_is_remembered(ghost):
     for number in range(50):
-        place = ghost.limb.at(0.15)[0] + np.array([0.0, 0.0, 0.0 if number < 25 else -0.25])
+        place = ghost.limb.at(0.1)[0] + np.array([0.0, 0.0, 0.0 if number < 25 else -0.25])
         info = ghost.step(np.clip(towards(ghost, place), -1.0, 1.0))[4]
     assert (info["threaded"], info["tunnelled"]) == (0, True)
 
 
 def test_over_the_tip_of_the_same_limb_is_fine(ghost):
-    out = ghost.limb.at(-0.08)[0]
-    corners = [out - np.array([0.0, 0.0, 0.17]), out, ghost.limb.at(0.26)[0]]
-    terminated = False
+    front = ghost.limb.at(-0.08)[0] - np.array([0.0, 0.0, 0.17])
+    policy, info, terminated = policies.get(RING, "axis"), {}, False
+    policy.reset(ghost)
+    while np.linalg.norm(front - ghost.openings[0].centroid) > 0.03:
+        ghost.step(np.clip(towards(ghost, front), -1.0, 1.0))
     while not terminated and ghost.steps < ghost.horizon:
-        if len(corners) > 1 and np.linalg.norm(corners[0] - ghost.openings[0].centroid) < 0.03:
-            corners.pop(0)
-        _, _, terminated, _, info = ghost.step(np.clip(towards(ghost, corners[0]), -1.0, 1.0))
+        _, _, terminated, _, info = ghost.step(policy.act(None, info))
     assert (info["threaded"], info["tunnelled"], info["is_success"]) == (1, False, True)
 
 

@@ -47,7 +47,7 @@ class BodyContact(NamedTuple):
 
 
 @device
-def begin_contact(x, p, inverse_masses, contact):
+def begin_contact(x, p, contact):
     """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
     for i in range(x.shape[0]):
         contact.pressed[i] = 0.0
@@ -55,8 +55,7 @@ def begin_contact(x, p, inverse_masses, contact):
             contact.dragged[i, c] = 0.0
             contact.moved[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
-        if inverse_masses[i] != 0.0:
-            contact.side[i] = side_of(x[i, 0], x[i, 1], x[i, 2], contact.map)
+        contact.side[i] = side_of(x[i, 0], x[i, 1], x[i, 2], contact.map)
 
 
 @device
@@ -171,7 +170,8 @@ def keep_off_body(x, p, inverse_masses, contact):
 def answer_velocities(v, inverse_masses, contact, dt):
     """Velocities of touching vertices: v_res = C_fric v_t - C_refl v_n [Vassilev 2001, eq. 12], for approaching ones.
 
-    v_n is the speed before the contact; speed that only the position correction gave is taken away. Books the forces.
+    v_n is the speed before the contact; speed that only the position correction gave is taken away. Books the forces:
+    all the momentum that the body gives, by corrections and here.
     """
     for i in range(v.shape[0]):
         if contact.pressed[i] == 0.0:
@@ -182,11 +182,11 @@ def answer_velocities(v, inverse_masses, contact, dt):
         # came < 0: approached, and leaves with C_refl of it; otherwise it was leaving by itself, and keeps that
         leaving = -contact.rebound * came if came < 0.0 else min(max(speed, 0.0), came)
         slide = contact.slide if came < 0.0 else 1.0
-        for c in range(3):
-            v[i, c] = slide * (v[i, c] - speed * n[c]) + leaving * n[c]
         mass = 1.0 / inverse_masses[i]
         for c in range(3):
-            contact.forces[i, c] += contact.moved[i, c] * mass / (dt * dt)
+            before = v[i, c]
+            v[i, c] = slide * (before - speed * n[c]) + leaving * n[c]
+            contact.forces[i, c] += mass * (contact.moved[i, c] / dt + v[i, c] - before) / dt
 
 
 @kernel
@@ -195,7 +195,7 @@ def xpbd_substeps_on_body(x, v, p, cloth, radii, motion, ground, grips, multipli
     w = cloth.inverse_masses
     for n in range(count):
         accelerate(x, v, p, cloth, motion)
-        begin_contact(x, p, w, contact)
+        begin_contact(x, p, contact)
         multipliers[:] = 0.0
         grips.multipliers[:] = 0.0
         for _ in range(motion.sweeps):
@@ -217,7 +217,7 @@ def euler_substeps_on_body(x, v, p, f, cloth, radii, motion, ground, grips, cont
         for i in range(x.shape[0]):
             for c in range(3):
                 p[i, c] = x[i, c] + motion.dt * v[i, c]
-        begin_contact(x, p, w, contact)
+        begin_contact(x, p, contact)
         grips.multipliers[:] = 0.0
         hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)
         keep_above_ground(x, p, w, radii, ground)
@@ -233,7 +233,7 @@ def solve_on_body(
 ):
     """`contact.solve` with a body, which has the last word in every sweep."""
     w = cloth.inverse_masses
-    begin_contact(x, p, w, contact)
+    begin_contact(x, p, contact)
     multipliers[:] = 0.0
     grips.multipliers[:] = 0.0
     for _ in range(motion.sweeps):

@@ -1,9 +1,11 @@
-"""The body in image space [Vassilev 2001, section 5]: two planes per texel instead of a depth and a normal.
+"""The body in image space [Vassilev 2001, section 5]: three planes per texel instead of a depth and a normal.
 
-A texel of the map, seen along z, holds the tangent plane of the front of the body and that of its back. A point is
-inside where it lies behind both, at a depth z that the body has thereabouts: a plane holds near its texel only, and
-steep ones would reach far in front of the body and behind it. Distances are measured along the normals, so the
-tolerance is the same in front, at the back and on steep sides; with the paper's depth along z it vanishes there.
+A texel of the map, seen along z, holds the tangent plane of the front of the body, that of its back, and that of the
+nearest piece of its outline. A point is inside where it lies behind all three, at a depth z that the body has
+thereabouts: a plane holds near its texel only, and steep ones would reach far in front of the body and behind it.
+Distances are measured along the normals, so the tolerance is the same in front, at the back and at the sides; with the
+paper's depth along z it vanishes there, and without the outline's plane surfaces that run along z have no normal: the
+top of a table seen from its front, a foot, a shoulder.
 """
 
 from __future__ import annotations
@@ -20,9 +22,7 @@ from clothgym._jit import device, kernel
 class BodyMap(NamedTuple):
     """What queries read."""
 
-    planes: (
-        NDArray  # (rows * columns, 8) float32: normal and offset of the front, then of the back; offset inf = nothing
-    )
+    planes: NDArray  # (rows * columns, 12) float32: normal and offset of front, back and outline; front inf = nothing
     bounds: NDArray  # (rows * columns, 2) float32: least and greatest z - middle of the body around each texel [m]
     rows: int
     columns: int
@@ -41,7 +41,7 @@ def planes_of_layers(vertices, normals, faces, layers, frame, planes, depths):
         faces: (F, 3) int32.
         layers: two `raster.Layers`, row 0 at the top.
         frame: (4,) left, bottom, middle [m], pixel [m].
-        planes: (rows * columns, 8) float32, written; row 0 at the bottom.
+        planes: (rows * columns, 12) float32, of which front and back are written; row 0 at the bottom.
         depths: (2, rows, columns) float32, written: z - middle of the front and of the back [m]; -inf, inf = nothing.
     """
     _, rows, columns = layers.depth.shape
@@ -99,7 +99,7 @@ def texel_of(x, y, body):
 
 @device
 def plane_distance(x, y, z, texel, side, body):
-    """Signed distance [m] to the plane of the front (side 0) or back (side 1) of a texel; inf where there is none."""
+    """Signed distance [m] to the plane of the front (side 0), back (1) or outline (2) of a texel; front inf: there is none."""
     at = 4 * side
     planes = body.planes
     return (
@@ -132,7 +132,7 @@ def find_plane(x, y, z, came_from, body, tolerance):
     and the signed distance to it; texel -1 = outside.
 
     The plane is that of the side that the point came from (`side_of` before it moved), so that no point is pushed
-    through a limb to its far side; the nearer one where that is unknown.
+    through a limb to its far side; the nearer one where that is unknown. The outline's, if that is nearer than both.
     """
     texel = texel_of(x, y, body)
     if texel < 0:
@@ -146,6 +146,11 @@ def find_plane(x, y, z, came_from, body, tolerance):
     back = plane_distance(x, y, z, texel, 1, body)
     if back >= tolerance:
         return -1, 0, 0.0
+    outline = plane_distance(x, y, z, texel, 2, body)
+    if outline >= tolerance:
+        return -1, 0, 0.0
+    if outline > front and outline > back:
+        return texel, 2, outline
     if came_from == 0 or (came_from < 0 and front >= back):
         return texel, 0, front
     return texel, 1, back
@@ -153,7 +158,7 @@ def find_plane(x, y, z, came_from, body, tolerance):
 
 @kernel
 def query(points, body, tolerance, distances, normals):
-    """The map's answer for points (N, 3): signed distance [m] to the nearer plane and its normal; inf, zero outside.
+    """The map's answer for points (N, 3): signed distance [m] to the nearest plane and its normal; inf, zero outside.
 
     Returns how many lie within the tolerance or inside.
     """

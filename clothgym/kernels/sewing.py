@@ -28,7 +28,7 @@ def close_seams(x, before, p, inverse_masses, ends, rest, start, first, count, t
         for i in range(vertices):
             for c in range(3):
                 p[i, c] = x[i, c] + keep * (x[i, c] - before[i, c])
-        begin_contact(x, p, inverse_masses, contact)
+        begin_contact(x, p, contact)
         for _ in range(sweeps):
             for e in range(ends.shape[0]):
                 i = ends[e, 0]

@@ -215,7 +215,7 @@ class DressRingEnv(ClothEnv):
         root = np.array([-length, 0.0, 0.0])
         tip = root + length * way
         self.limb = LimbPath(np.array([root, tip]), radius)
-        self.camera = Camera(tuple(tip + np.array([0.4, 0.35, 0.9])), tuple(tip + np.array([-0.03, 0.0, 0.0])))
+        self.camera = Camera(tuple(tip + np.array([0.45, 0.35, 1.05])), tuple(tip + np.array([0.05, 0.03, 0.0])))
         ease = 1.1 + 0.9 * v["ease"]
         stiffness = 10.0 ** ((2.0 * v["stiffness"] - 1.0) * math.log10(3.0))
         friction = 0.6 * v["friction"]

@@ -106,8 +106,8 @@ def ellipsoid_distance(points, radii, iterations: int = 60):
     """By bisection for the multiplier of the foot [Eberly, distance from a point to an ellipsoid]."""
     r = np.asarray(radii)
     p = np.abs(points)
-    low = -r.min() ** 2 + r.min() * p[:, r.argmin()]
-    high = -r.min() ** 2 + np.linalg.norm(r * p, axis=1)
+    low = -(r.min() ** 2) + r.min() * p[:, r.argmin()]
+    high = -(r.min() ** 2) + np.linalg.norm(r * p, axis=1)
     for _ in range(iterations):
         middle = 0.5 * (low + high)
         large = ((r * p / (middle[:, None] + r**2)) ** 2).sum(axis=1) > 1.0

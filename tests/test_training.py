@@ -54,6 +54,16 @@ def test_ppo_learns(learnt):
     assert low <= learnt.curve[0]["success"] <= high
 
 
+def test_ppo_learns_to_dress_in_less_than_two_minutes(tmp_path):
+    """The table's own settings; a third of what the README's run takes."""
+    run = train("clothgym/DressRing-v0", steps=7680, seed=0, out=tmp_path / "ring", processes=False, episodes=10)
+    untrained = run.curve[0]
+    assert untrained["success"] == 0.0 and abs(untrained["return"]) < 0.5
+    assert run.best["success"] >= 0.5
+    assert run.best["return"] > 7.0
+    assert all(row["failures"] == 0 for row in run.curve)
+
+
 def test_what_a_run_leaves(learnt):
     folder = learnt.folder
     rows = [json.loads(line) for line in (folder / "curve.jsonl").read_text().splitlines()]

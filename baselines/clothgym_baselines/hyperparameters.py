@@ -43,7 +43,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 }
 """Algorithm -> name -> value. Steps of a rollout are per environment; gradient_steps = -1 is one per step taken."""
 
-BY_TASK: dict[str, dict[str, dict[str, Any]]] = {}
+BY_TASK: dict[str, dict[str, dict[str, Any]]] = {"clothgym/DressRing-v0": {"ppo": {"learning_rate": 1e-3}}}
 """Environment -> algorithm -> what differs there."""
 
 _INTEGERS = {

@@ -24,7 +24,7 @@ FLOORS = {
     1: ("kernels",),
     2: (
         *("materials", "fidelity", "state", "mesh", "rest", "rig", "torso", "body", "assets"),
-        *("pattern", "panel_mesh", "garment"),
+        *("pattern", "garmentcode", "panel_mesh", "garment"),
     ),
     3: ("scene",),
     4: ("model",),

@@ -210,3 +210,9 @@ def test_what_is_right():
     assert not Threading("tail", {"head": 1}).right
     assert not Threading("head", {}).right
     assert Threading("head", {"head": 1, "left_arm": 0, "right_arm": -1}).through == ("head", "right_arm")
+
+
+def test_a_body_with_one_leg_fills_no_hem():
+    """Both legs are expected; one alone is not enough."""
+    assert not Threading("legs", {"head": 0, "left_leg": 1}).right
+    assert Threading("legs", {"head": 0, "left_leg": -1, "right_leg": -1}).right

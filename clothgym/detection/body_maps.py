@@ -98,7 +98,7 @@ class BodyMaps:
         planes[:, 8:11] = 0.0
         planes[:, 11] = -np.inf
         if not self.filled.any():
-            return np.tile(np.float32([np.inf, -np.inf]), (len(planes), 1))
+            return np.tile(np.array([np.inf, -np.inf], np.float32), (len(planes), 1))
         distance, (row, column) = distance_transform_edt(~self.filled, return_indices=True)
         near = (distance > 0.0) & (distance <= self.margin / self.pixel + 1.0)
         nearest = (row * self.filled.shape[1] + column)[near]

@@ -55,7 +55,7 @@ class Threading:
     def right(self) -> bool:
         """Exactly the expected limb goes through, once; both legs in the same sense."""
         wanted = _members(self.expected)
-        numbers = {self.crossings[name] for name in wanted if name in self.crossings}
+        numbers = {self.crossings.get(name, 0) for name in wanted}
         others = [number for name, number in self.crossings.items() if name not in wanted]
         return len(numbers) == 1 and abs(next(iter(numbers))) == 1 and not any(others)
 

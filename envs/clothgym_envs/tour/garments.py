@@ -55,7 +55,7 @@ def joined(sections: list[Section]) -> Section:
     """All garments in one table."""
     text = (
         "Flat panels are placed around the CC0 body, welded at the midpoints of their seams, drawn in, and left to gravity "
-        "until they rest. The collider is two maps of planes, front and back; depth is measured against the true body, at "
+        "until they rest. The collider is a map of planes: front, back, outline. Depth is measured against the true body, at "
         "45 points of every triangle. Worn: each opening has its own limb through it."
     )
     table = Table("From pattern to garment [Vassilev 2001]", COLUMNS, [s.tables[0].rows[0] for s in sections])

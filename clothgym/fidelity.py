@@ -13,6 +13,7 @@ INTEGRATORS = ("xpbd", "symplectic_euler")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force")
 BODY_RESPONSES = ("coulomb", "velocity")
+BODY_NORMALS = ("face", "interpolated")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
@@ -64,6 +65,8 @@ class Fidelity:
         body_tolerance: distance that vertices keep from the body [m].
         body_faces: n: faces are tested against the body too, at half the tolerance, at the midpoints of the n^2 equal
             triangles in each; 0 = vertices only, 1 = as the paper, more where the body is sharper than the cloth is fine.
+        body_normals: planes of the body from its "face"s, which join, so that cloth comes to rest on them, or with
+            "interpolated" normals [Vassilev 2001, 5.2], which are smoother but jump by some 0.03 mm between texels.
         body_response: "coulomb" friction, at which cloth comes to rest, or "velocity" [Vassilev 2001, eq. 12], which creeps.
     """
 
@@ -88,6 +91,7 @@ class Fidelity:
     map_size: int = 360
     body_tolerance: float = 3e-3
     body_faces: int = 3
+    body_normals: str = "face"
     body_response: str = "coulomb"
 
     def __post_init__(self) -> None:
@@ -95,6 +99,7 @@ class Fidelity:
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
+        check_choice(self.body_normals, "fidelity.body_normals", BODY_NORMALS)
         check_choice(self.body_response, "fidelity.body_response", BODY_RESPONSES)
         for field, (low, high, integer) in _RANGES.items():
             # stored as plain numbers, so that JSON and hashes do not depend on the caller's types

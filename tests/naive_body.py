@@ -11,12 +11,14 @@ from scipy.spatial import ConvexHull
 class NaiveMaps:
     """The planes of every texel that is asked for, from rays along z; for convex bodies, whose outline is a hull."""
 
-    def __init__(self, vertices, faces, grid) -> None:
+    def __init__(self, vertices, faces, grid, interpolated=False) -> None:
         """`grid` is (left, bottom, pixel, rows, columns): where the texels lie, and nothing else, is taken over."""
+        self.interpolated = interpolated
         self.vertices, self.faces = np.asarray(vertices, float), np.asarray(faces)
         self.left, self.bottom, self.pixel, self.rows, self.columns = grid
         corners = self.vertices[self.faces]
         weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self.face_normals = weighted / np.linalg.norm(weighted, axis=1)[:, None]
         self.normals = np.zeros_like(self.vertices)
         for k in range(3):
             np.add.at(self.normals, self.faces[:, k], weighted)
@@ -48,7 +50,10 @@ class NaiveMaps:
         places = np.einsum("nk,nkx->nx", weights, self.vertices[self.faces[hit]])
         found = []
         for outwards, which in ((1.0, np.argmax(places[:, 2])), (-1.0, np.argmin(places[:, 2]))):
-            normal = weights[which] @ self.normals[self.faces[hit[which]]]
+            face = hit[which]
+            normal = (
+                weights[which] @ self.normals[self.faces[face]] if self.interpolated else self.face_normals[face].copy()
+            )
             normal[2] = outwards * max(0.0, outwards * normal[2])
             found.append((places[which], normal / np.linalg.norm(normal)))
         return found

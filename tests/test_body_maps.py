@@ -82,8 +82,8 @@ def turned(name):
     return mesh, lambda points: distance(points @ matrix)
 
 
-def maps_of(mesh, size=240, margin=MARGIN):
-    return BodyMaps([Body((mesh.vertices, mesh.faces))], size, margin)
+def maps_of(mesh, size=240, margin=MARGIN, normals="face"):
+    return BodyMaps([Body((mesh.vertices, mesh.faces))], size, margin, normals)
 
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -204,8 +204,9 @@ def test_a_texel_is_the_error_in_x_and_y():
 # against the naive version
 
 
+@pytest.mark.parametrize("normals_of", ["face", "interpolated"])
 @pytest.mark.parametrize("name", ["sphere", "capsule tilted", "box tilted about x", "box tilted about z"])
-def test_the_same_as_naive_maps(name):
+def test_the_same_as_naive_maps(name, normals_of):
     matrix = SOLIDS[name][2]
     coarse = {
         "sphere": lambda: ball(cuts=2),
@@ -213,9 +214,10 @@ def test_the_same_as_naive_maps(name):
     }
     mesh = coarse.get(name, lambda: fine_box(SIZE, 2))()
     mesh = trimesh.Trimesh(mesh.vertices @ matrix.T, mesh.faces, process=False)
-    maps = maps_of(mesh, 60)
+    maps = maps_of(mesh, 60, normals=normals_of)
     grid = maps.map
-    naive = NaiveMaps(mesh.vertices, mesh.faces, (grid.left, grid.bottom, grid.pixel, grid.rows, grid.columns))
+    lies = grid.left, grid.bottom, grid.pixel, grid.rows, grid.columns
+    naive = NaiveMaps(mesh.vertices, mesh.faces, lies, normals_of == "interpolated")
     points = around(mesh, 250, 0.01, seed=3)
     points = np.concatenate([points, np.random.default_rng(2).uniform(*(1.1 * mesh.bounds), (150, 3))])
     found, normals = maps.query(points, TOLERANCE)
@@ -238,11 +240,11 @@ def test_the_same_as_naive_maps(name):
     assert hits > 100
 
 
-def test_planes_of_texels_are_tangents_of_the_mesh():
+def test_planes_of_texels_are_tangents_of_the_smooth_mesh():
     mesh = ball(cuts=2)
-    maps = maps_of(mesh, 48)
+    maps = maps_of(mesh, 48, normals="interpolated")
     m = maps.map
-    naive = NaiveMaps(mesh.vertices, mesh.faces, (m.left, m.bottom, m.pixel, m.rows, m.columns))
+    naive = NaiveMaps(mesh.vertices, mesh.faces, (m.left, m.bottom, m.pixel, m.rows, m.columns), True)
     shown = 0
     for row in range(m.rows):
         for column in range(m.columns):
@@ -259,13 +261,33 @@ def test_planes_of_texels_are_tangents_of_the_mesh():
     assert shown > 1000
 
 
+def test_planes_of_neighbours_join_unless_they_are_interpolated():
+    """At the same place on a facet, planes of two texels that both show it answer alike; interpolated ones do not."""
+    mesh = ball(cuts=1)
+    jumps = {}
+    for normals in ("face", "interpolated"):
+        maps = maps_of(mesh, 120, normals=normals)
+        m = maps.map
+        middle, pixel = mesh.triangles_center, m.pixel
+        shown = middle[mesh.face_normals[:, 2] > 0.6]
+        seen = []
+        for point in shown:
+            for row in (-1, 0, 1):
+                for column in (-1, 0, 1):
+                    at = (*np.floor((point[:2] - (m.left, m.bottom)) / pixel).astype(int), column, row)
+                    plane = m.planes[at[1] * m.columns + at[0], :4].astype(float)
+                    seen.append(abs(plane[:3] @ (point - (m.left, m.bottom, m.middle)) + plane[3]))
+        jumps[normals] = max(seen)
+    assert jumps["face"] < 1e-6 < 1e-5 < jumps["interpolated"]
+
+
 def test_mirrored_bodies_answer_mirrored():
     mesh = trimesh.Trimesh(*(lambda m: (m.vertices @ TILTED.T, m.faces))(capsule()), process=False)
     mirror = np.array([-1.0, 1.0, 1.0])
     other = trimesh.Trimesh(mesh.vertices * mirror, mesh.faces[:, ::-1], process=False)
     points = around(mesh, 4000)
-    found, normals = maps_of(mesh).query(points, TOLERANCE)
-    seen, seen_normals = maps_of(other).query(points * mirror, TOLERANCE)
+    found, normals = maps_of(mesh, normals="interpolated").query(points, TOLERANCE)
+    seen, seen_normals = maps_of(other, normals="interpolated").query(points * mirror, TOLERANCE)
     both = np.isfinite(found) & np.isfinite(seen)
     assert (np.isfinite(found) != np.isfinite(seen)).mean() < 0.01
     # texels are not mirrored exactly: the extent is no whole number of them
@@ -273,7 +295,7 @@ def test_mirrored_bodies_answer_mirrored():
     assert np.percentile(np.abs(normals * mirror - seen_normals)[both].max(axis=1), 90) < 0.1
     front = turn([0, 1, 0], math.pi)
     behind = trimesh.Trimesh(mesh.vertices @ front.T, mesh.faces, process=False)
-    back, _ = maps_of(behind).query(points @ front.T, TOLERANCE)
+    back, _ = maps_of(behind, normals="interpolated").query(points @ front.T, TOLERANCE)
     both = np.isfinite(found) & np.isfinite(back)
     assert np.percentile(np.abs(found[both] - back[both]), 99) < 1e-3, "front and back are treated alike"
 

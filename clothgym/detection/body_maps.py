@@ -45,13 +45,16 @@ class BodyMaps:
         bodies: at least one.
         map_size: texels along the longer side of the bodies' extent in x and y.
         margin: [m] how far beside the body it is felt; at least the tolerance plus what a point may sink in a substep.
+        normals: "face" or "interpolated", see `Fidelity.body_normals`.
     """
 
-    def __init__(self, bodies: Sequence[Body], map_size: int = 360, margin: float = 0.015) -> None:
+    def __init__(
+        self, bodies: Sequence[Body], map_size: int = 360, margin: float = 0.015, normals: str = "face"
+    ) -> None:
         self.vertices: FloatArray = np.concatenate([body.mesh.vertices for body in bodies])
         starts = np.cumsum([0, *(len(body.mesh.vertices) for body in bodies)])
         self.faces: IntArray = np.concatenate([b.mesh.faces + np.int32(s) for b, s in zip(bodies, starts)])
-        self.map_size, self.margin = map_size, margin
+        self.map_size, self.margin, self.normals = map_size, margin, normals
         self._surface = Surface(self.faces, len(self.vertices))
         self.render(self.vertices)
 
@@ -85,7 +88,8 @@ class BodyMaps:
         planes = np.empty((rows * columns, 12), np.float32)
         depths = np.empty((2, rows, columns), np.float32)
         frame = np.array([left, bottom, middle, self.pixel])
-        body_map.planes_of_layers(self.vertices, normals, self.faces, layers, frame, planes, depths)
+        interpolate = self.normals == "interpolated"
+        body_map.planes_of_layers(self.vertices, normals, self.faces, layers, frame, interpolate, planes, depths)
         self.filled = np.isfinite(depths[0])
         bounds = self._dilate(planes, depths, low[:2] - border * self.pixel)
         self.map = BodyMap(planes, bounds, rows, columns, left, bottom, middle, self.pixel)

@@ -113,7 +113,7 @@ def drape(
     if fit:
         given, said = fit_placement(given, wearer)
         notes.extend(said)
-    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH)
+    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH, how.body_normals)
     base = assemble(given, edge_length)
     expected = [_expected(base.vertices[loop], wearer) for loop in base.openings]
     best: Draped | None = None
@@ -155,7 +155,7 @@ def hung(
     wearer = body if isinstance(body, Body) else bodies.load(body)
     how = Fidelity()
     garment = assemble(fit_placement(given, wearer)[0], edge_length)
-    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH)
+    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH, how.body_normals)
     expected = [_expected(garment.vertices[loop], wearer) for loop in garment.openings]
     x = sew(garment, maps, how.body_tolerance)
     worn = _worn(garment, x, wearer, maps, expected)

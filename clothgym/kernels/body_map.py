@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
+from clothgym.kernels.raster import face_normal
 
 
 class BodyMap(NamedTuple):
@@ -33,14 +34,15 @@ class BodyMap(NamedTuple):
 
 
 @kernel
-def planes_of_layers(vertices, normals, faces, layers, frame, planes, depths):
-    """Tangent planes from what the rasteriser left: the point by barycentrics, the normal interpolated and renormalised.
+def planes_of_layers(vertices, normals, faces, layers, frame, interpolate, planes, depths):
+    """Tangent planes from what the rasteriser left: the point by barycentrics, and a normal.
 
     Args:
         vertices, normals: (V, 3) float64.
         faces: (F, 3) int32.
         layers: two `raster.Layers`, row 0 at the top.
         frame: (4,) left, bottom, middle [m], pixel [m].
+        interpolate: normals of the vertices interpolated and renormalised, as the paper has them; otherwise the face's own.
         planes: (rows * columns, 12) float32, of which front and back are written; row 0 at the bottom.
         depths: (2, rows, columns) float32, written: z - middle of the front and of the back [m]; -inf, inf = nothing.
     """
@@ -66,9 +68,12 @@ def planes_of_layers(vertices, normals, faces, layers, frame, planes, depths):
                 wc = np.float64(layers.barycentrics[side, rows - 1 - row, column, 1])
                 wa = 1.0 - wb - wc
                 a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-                nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
-                ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
-                nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
+                if interpolate:
+                    nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
+                    ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
+                    nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
+                else:
+                    nx, ny, nz = face_normal(vertices, faces, face)
                 # what is seen faces the view; interpolated normals at the outline may not
                 nz = outwards * max(0.0, outwards * nz)
                 size = math.sqrt(nx * nx + ny * ny + nz * nz)

@@ -280,7 +280,7 @@ def rasterise(image, faces, near, layers):
 
 
 @device
-def _face_normal(vertices, faces, face):
+def face_normal(vertices, faces, face):
     """Normal with the length of twice the area."""
     a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
     ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
@@ -304,7 +304,7 @@ def vertex_normals(vertices, faces, normals):
     """
     normals[:] = 0.0
     for face in range(faces.shape[0]):
-        gx, gy, gz = _face_normal(vertices, faces, face)
+        gx, gy, gz = face_normal(vertices, faces, face)
         for k in range(3):
             vertex = faces[face, k]
             normals[vertex, 0] += gx
@@ -341,7 +341,7 @@ def shade(vertices, normals, faces, colours, lights, layers, picture):
                 continue
             a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
             lb, lc = np.float64(layers.barycentrics[0, y, x, 0]), np.float64(layers.barycentrics[0, y, x, 1])
-            gx, gy, gz = _face_normal(vertices, faces, face)
+            gx, gy, gz = face_normal(vertices, faces, face)
             ex = lights[0, 0] - perspective * _blend(vertices, a, b, c, 0, lb, lc)
             ey = lights[0, 1] - perspective * _blend(vertices, a, b, c, 1, lb, lc)
             ez = lights[0, 2] - perspective * _blend(vertices, a, b, c, 2, lb, lc)

@@ -71,7 +71,7 @@ class BodyResponse:
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         bodies = model.scene.bodies
-        self.maps = BodyMaps(bodies, fidelity.map_size, fidelity.body_tolerance + REACH)
+        self.maps = BodyMaps(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals)
         self.label = f"body {fidelity.map_size} px, {fidelity.body_response}"
         self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""
         coulomb = fidelity.body_response == "coulomb"

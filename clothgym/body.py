@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,13 @@ class Body:
         limbs = tuple(Limb.from_json(limb) for limb in values["limbs"])
         mesh = values["vertices"], values["faces"]
         return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs)
+
+
+def joined(bodies: Sequence[Body]) -> tuple[FloatArray, IntArray]:
+    """Vertices (V, 3) [m] and faces (F, 3) of all bodies together."""
+    starts = np.cumsum([0, *(len(body.mesh.vertices) for body in bodies)])
+    faces = [body.mesh.faces + np.int32(start) for body, start in zip(bodies, starts)]
+    return np.concatenate([body.mesh.vertices for body in bodies]), np.concatenate(faces)
 
 
 def load(

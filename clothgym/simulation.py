@@ -148,12 +148,10 @@ class Simulation:
         if not self.scene.bodies:
             raise ValueError("body_mesh: the scene has no bodies")
         if not hasattr(self, "_body_mesh"):
+            from clothgym.body import joined
             from clothgym.detection.body_mesh import BodyMesh
 
-            meshes = [body.mesh for body in self.scene.bodies]
-            starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-            faces = [mesh.faces + np.int32(start) for mesh, start in zip(meshes, starts)]
-            self._body_mesh = BodyMesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
+            self._body_mesh = BodyMesh(*joined(self.scene.bodies))
         return self._body_mesh
 
     def penetration_depth(self) -> float:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clothgym.arrays import FloatArray, IntArray, as_points
+from clothgym.body import Body, joined
 from clothgym.kernels import body_map, raster
 from clothgym.kernels.body_map import BodyMap
 from clothgym.mesh import Surface
-
-if TYPE_CHECKING:
-    from clothgym.body import Body
 
 _LEAST_MARGIN_PIXELS = 2
 _MOST_MARGIN_PIXELS = 100
@@ -51,9 +48,7 @@ class BodyMaps:
     def __init__(
         self, bodies: Sequence[Body], map_size: int = 360, margin: float = 0.015, normals: str = "face"
     ) -> None:
-        self.vertices: FloatArray = np.concatenate([body.mesh.vertices for body in bodies])
-        starts = np.cumsum([0, *(len(body.mesh.vertices) for body in bodies)])
-        self.faces: IntArray = np.concatenate([b.mesh.faces + np.int32(s) for b, s in zip(bodies, starts)])
+        self.vertices, self.faces = joined(bodies)
         self.map_size, self.margin, self.normals = map_size, margin, normals
         self._surface = Surface(self.faces, len(self.vertices))
         self.render(self.vertices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ from numpy.typing import ArrayLike
 from clothgym import fidelity as fidelities
 from clothgym import metrics
 from clothgym.arrays import FloatArray, IntArray, as_points, read_only
+from clothgym.body import Body
 from clothgym.errors import SimulationError
 from clothgym.fidelity import Fidelity
 from clothgym.model import ClothModel
 from clothgym.pipeline import Frame, Pipeline, assemble
-from clothgym.scene import Scene
+from clothgym.scene import Cloth, Scene
 from clothgym.state import ClothState
 
 
@@ -257,6 +259,69 @@ class Simulation:
     def state_hash(self) -> str:
         """Digest of every bit of the state."""
         return self._state.hash()
+
+    # --- what can come and go ---------------------------------------------------------------------------------------
+
+    def add(self, thing: Cloth | Body) -> None:
+        """Puts a cloth or a body into the scene while the simulation runs; everything else goes on as it was.
+
+        A cloth starts where its mesh is, at rest. `scene` becomes a new scene, and `reset` goes back to its start.
+
+        Raises:
+            ValueError: neither cloth nor body, or something of that name is there already.
+        """
+        if not isinstance(thing, Cloth | Body):
+            raise ValueError(f"add: expected a Cloth or a Body, got {type(thing).__name__}")
+        if thing.name in self._names():
+            raise ValueError(f"add: name = {thing.name!r}: the scene has something of that name already")
+        if isinstance(thing, Cloth):
+            self._become(dataclasses.replace(self.scene, cloths=(*self.scene.cloths, thing)))
+        else:
+            self._become(dataclasses.replace(self.scene, bodies=(*self.scene.bodies, thing)))
+
+    def remove(self, name: str) -> None:
+        """Takes a cloth or a body out of the scene while the simulation runs; grippers lose what they held of it.
+
+        Raises:
+            ValueError: nothing, or more than one thing, of that name; or the last cloth.
+        """
+        scene = self.scene
+        found = self._names().count(name)
+        if found != 1:
+            raise ValueError(f"remove: name = {name!r}: the scene has {found} things of that name")
+        cloths = tuple(cloth for cloth in scene.cloths if cloth.name != name)
+        if not cloths:
+            raise ValueError(f"remove: name = {name!r}: a scene needs at least one cloth")
+        bodies = tuple(body for body in scene.bodies if body.name != name)
+        self._become(dataclasses.replace(scene, cloths=cloths, bodies=bodies))
+
+    def _names(self) -> list[str]:
+        return [cloth.name for cloth in self.scene.cloths] + [body.name for body in self.scene.bodies]
+
+    def _become(self, scene: Scene) -> None:
+        """Goes on with another scene: what both have keeps its state."""
+        old, old_scene, old_ranges = self._state, self.scene, self.model.ranges
+        grip_forces, passes, work = self._grip_forces.copy(), self._frame.untangling_passes, dict(self._frame.work)
+        slices = {id(cloth): vertices for cloth, (_, vertices, _) in zip(old_scene.cloths, old_ranges)}
+        self.scene, self.model = scene, ClothModel(scene)
+        self.pipeline = assemble(self.model, self.fidelity)
+        for kept in ("_looking_tree", "_body_mesh"):  # made for the old scene
+            self.__dict__.pop(kept, None)
+        self.reset()
+        new, number = self._state, np.full(len(old.positions), -1)
+        for cloth, (_, vertices, _) in zip(scene.cloths, self.model.ranges):
+            before = slices.get(id(cloth))
+            if before is None:
+                continue
+            new.positions[vertices], new.velocities[vertices] = old.positions[before], old.velocities[before]
+            number[before] = np.arange(vertices.start, vertices.stop)
+        held = number[old.held_vertices]
+        new.held_vertices = held[held >= 0].astype(np.int32)
+        new.held_by, new.held_offsets = old.held_by[held >= 0].copy(), old.held_offsets[held >= 0].copy()
+        new.grip_positions[:], new.grip_velocities[:] = old.grip_positions, old.grip_velocities
+        new.time, new.step = old.time, old.step
+        self._grip_forces, self._frame.untangling_passes, self._frame.work = grip_forces, passes, work
+        self._intersections = None
 
     # --- grippers ---------------------------------------------------------------------------------------------------
 

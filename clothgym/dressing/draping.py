@@ -17,9 +17,10 @@ from clothgym import materials
 from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
-from clothgym.detection.openings import Threading, expected_limb, threading
+from clothgym.detection.openings import Threading
 from clothgym.dressing.placement import fit as fit_placement
 from clothgym.dressing.sewing import rest_of, sew
+from clothgym.dressing.worn import SLIDE_LIMIT, expected_limbs, slides, threadings, what_is_wrong
 from clothgym.fidelity import Fidelity
 from clothgym.garment import Garment, assemble
 from clothgym.materials import Material
@@ -34,9 +35,6 @@ SHIFTS = (0.0, 0.03, 0.06, -0.02, 0.09)
 
 SETTLING = 4.0
 """[1/s] least damping while a garment comes to rest: the drape is wanted, not the way to it."""
-
-SLIDE_LIMIT = 0.2
-"""[m] an opening whose middle moves further than this after sewing slid off: a skirt around the ankles is not worn."""
 
 _WINDOW = 0.1
 """[s] speeds are means over this time: what trembles in place is at rest."""
@@ -113,32 +111,46 @@ def drape(
     if fit:
         given, said = fit_placement(given, wearer)
         notes.extend(said)
-    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH, how.body_normals)
-    base = assemble(given, edge_length)
-    expected = [_expected(base.vertices[loop], wearer) for loop in base.openings]
+    fitting = _Fitting(given, wearer, how, edge_length)
     best: Draped | None = None
     for attempt, shift in enumerate(SHIFTS, 1):
         text = f"attempt {attempt}, shift {1000 * shift:+.0f} mm"
-        garment = base if shift == 0.0 else assemble(given.moved((0.0, shift, 0.0)), edge_length)
-        x = sew(garment, maps, how.body_tolerance, _told(progress, "sew", text))
-        worn = _worn(garment, x, wearer, maps, expected)
-        if not all(w.right for w in worn) and attempt < len(SHIFTS):
-            notes.append(f"{text}: not worn after sewing, {_wrong(worn)}")
+        garment, x = fitting.sew(shift, _told(progress, "sew", text))
+        wrong = what_is_wrong(fitting.worn(garment, x))
+        if wrong and attempt < len(SHIFTS):
+            notes.append(f"{text}: not worn after sewing, {wrong}")
             continue
         tell = _told(progress, "drape", text)
         simulation, speeds = _simulate(garment, x, wearer, cloth_material, how, seconds, tell, on_step)
-        worn = _worn(garment, np.array(simulation.positions), wearer, maps, expected)
-        slides = _slides(garment, x, np.array(simulation.positions))
-        report = _report(garment, simulation, speeds, worn, slides)
+        worn, moved = fitting.worn(garment, np.array(simulation.positions)), slides(garment, x, simulation.positions)
+        report = _report(garment, simulation, speeds, worn, moved)
         report |= {"shift": shift, "attempts": attempt, "seconds": time.perf_counter() - started}
-        best = Draped(garment, wearer, simulation, report, tuple(notes))
+        best = Draped(garment, wearer, simulation, report, ())
         if report["worn"]:
-            return best
-        notes.append(f"{text}: not worn at the end, {_wrong(worn, slides)}")
-        if attempt == len(SHIFTS):
-            best = dataclasses.replace(best, notes=tuple(notes))
-    assert best is not None
-    return best
+            break
+        notes.append(f"{text}: not worn at the end, {what_is_wrong(worn, moved)}")
+    assert best is not None, "the last attempt is always draped"
+    return dataclasses.replace(best, notes=tuple(notes))
+
+
+class _Fitting:
+    """A pattern around a body: sewn at any lift, and asked whether it is worn."""
+
+    def __init__(self, pattern: Pattern, body: Body, fidelity: Fidelity, edge_length: float) -> None:
+        self.pattern, self.body, self.edge_length = pattern, body, edge_length
+        self.tolerance = fidelity.body_tolerance
+        self.maps = BodyMaps([body], fidelity.map_size, self.tolerance + REACH, fidelity.body_normals)
+        self.garment = assemble(pattern, edge_length)
+        self.expected = expected_limbs(self.garment, body)
+
+    def sew(self, shift: float, tell: Callable[[float, float], None] | None = None) -> tuple[Garment, FloatArray]:
+        """The garment lifted by a shift [m], and its positions (V, 3) when its seams are closed."""
+        lifted = self.pattern.moved((0.0, shift, 0.0))
+        garment = self.garment if shift == 0.0 else assemble(lifted, self.edge_length)
+        return garment, sew(garment, self.maps, self.tolerance, tell)
+
+    def worn(self, garment: Garment, x: FloatArray) -> list[Threading]:
+        return threadings(garment, x, self.body, self.maps, self.expected)
 
 
 def hung(
@@ -153,52 +165,16 @@ def hung(
     """
     given = pattern if isinstance(pattern, Pattern) else Pattern.load(pattern)
     wearer = body if isinstance(body, Body) else bodies.load(body)
-    how = Fidelity()
-    garment = assemble(fit_placement(given, wearer)[0], edge_length)
-    maps = BodyMaps([wearer], how.map_size, how.body_tolerance + REACH, how.body_normals)
-    expected = [_expected(garment.vertices[loop], wearer) for loop in garment.openings]
-    x = sew(garment, maps, how.body_tolerance)
-    worn = _worn(garment, x, wearer, maps, expected)
-    if not all(w.right for w in worn):
-        raise ValueError(f"pattern {given.name!r}: not worn by {wearer.name} after sewing: {_wrong(worn)}")
+    fitting = _Fitting(fit_placement(given, wearer)[0], wearer, Fidelity(), edge_length)
+    garment, x = fitting.sew(0.0)
+    wrong = what_is_wrong(fitting.worn(garment, x))
+    if wrong:
+        raise ValueError(f"pattern {given.name!r}: not worn by {wearer.name} after sewing: {wrong}")
     return _scene(garment, x, wearer, materials.get("cotton"), 2.0)
 
 
 def _told(progress: Progress | None, phase: str, text: str) -> Callable[[float, float], None] | None:
     return None if progress is None else lambda done, total: progress(phase, done, total, text)
-
-
-def _expected(loop: FloatArray, body: Body) -> str:
-    return expected_limb(loop, body.limbs) if body.limbs else "body"
-
-
-def _worn(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expected: list[str]) -> list[Threading]:
-    """What goes through each opening; for a body without a skeleton, whether any part of it does."""
-    if body.limbs:
-        return [threading(x[loop], body.limbs, name) for loop, name in zip(garment.openings, expected)]
-    found = []
-    for loop in garment.openings:
-        ring = x[loop]
-        centre = ring.mean(axis=0)
-        fan = centre + np.linspace(0.0, 0.9, 10)[:, None, None] * (ring - centre)
-        distances, _ = maps.query(fan.reshape(-1, 3), 0.0)
-        found.append(Threading("body", {"body": int(np.isfinite(distances).any())}))
-    return found
-
-
-def _slides(garment: Garment, sewn: FloatArray, x: FloatArray) -> list[float]:
-    """How far the middle of each opening moved since the seams were closed [m]."""
-    return [float(np.linalg.norm((x[loop] - sewn[loop]).mean(axis=0))) for loop in garment.openings]
-
-
-def _wrong(worn: list[Threading], slides: list[float] | None = None) -> str:
-    parts = [
-        f"opening for {w.expected} has {', '.join(w.through) or 'nothing'} through it" for w in worn if not w.right
-    ]
-    for w, slide in zip(worn, slides or []):
-        if slide > SLIDE_LIMIT:
-            parts.append(f"opening for {w.expected} slid by {1000 * slide:.0f} mm")
-    return "; ".join(parts)
 
 
 def _scene(garment: Garment, x: FloatArray, body: Body, material: Material, seconds: float) -> Scene:
@@ -256,7 +232,7 @@ def _report(
     simulation: Simulation,
     speeds: tuple[float, float],
     worn: list[Threading],
-    slides: list[float],
+    moved: list[float],
 ) -> dict[str, Any]:
     x = np.array(simulation.positions)
     surface, rest = rest_of(garment)
@@ -267,7 +243,7 @@ def _report(
     hits = simulation.last_intersections
     mean, p99 = speeds
     return {
-        "worn": all(w.right for w in worn) and max(slides) <= SLIDE_LIMIT,
+        "worn": all(w.right for w in worn) and max(moved) <= SLIDE_LIMIT,
         "at_rest": _rests(mean, p99),
         "hits": int(hits.hit_count),
         "contour_length": float(hits.length),
@@ -283,6 +259,6 @@ def _report(
         "faces": len(garment.faces),
         "openings": [
             {"expected": w.expected, "through": list(w.through), "right": w.right, "slide": slide}
-            for w, slide in zip(worn, slides)
+            for w, slide in zip(worn, moved)
         ],
     }

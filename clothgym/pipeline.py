@@ -228,26 +228,30 @@ class _IntegrateOnBody(_Integrate):
 
 
 class _FacePairs:
-    """Pairs of faces whose boxes, swept along the expected motion of the step, overlap."""
+    """Pairs of primitives whose boxes, swept along the expected motion of the step, overlap."""
 
     name = "face pairs"
     reads: tuple[str, ...] = ("positions", "velocities")
     writes: tuple[str, ...] = ("face_pairs",)
 
-    def __init__(self, candidates: Any, scene_step: float, gravity: FloatArray) -> None:
-        self.candidates, self.step, self.gravity = candidates, scene_step, gravity
+    def __init__(self, candidates: Any, scene_step: float, substeps: int, gravity: FloatArray) -> None:
+        self.candidates, self.step, self.substeps, self.gravity = candidates, scene_step, substeps, gravity
 
     def run(self, frame: Frame) -> None:
-        state = frame.state
-        fall = (0.5 * self.step * self.step) * self.gravity
+        self.look(frame, self.substeps)
+
+    def look(self, frame: Frame, horizon: int) -> None:
+        """Looks `horizon` substeps ahead."""
+        state, ahead = frame.state, self.step * horizon / self.substeps
+        fall = (0.5 * ahead * ahead) * self.gravity
         free = (frame.model.inverse_masses > 0)[:, None]
-        travel = self.step * state.velocities + np.where(free, fall, 0.0)
-        self.candidates.expect(state.positions, travel)
-        frame.count("face_pairs", len(self.candidates.face_pairs))
+        travel = ahead * state.velocities + np.where(free, fall, 0.0)
+        self.candidates.expect(state.positions, travel, horizon)
+        frame.count("box_pairs", self.candidates.box_pairs)
 
 
 class _Untangle:
-    """Hits among the face pairs, the passes of a strategy against them, and the vertices that contact leaves alone.
+    """Hits, the passes of a strategy against them, and the vertices that contact leaves alone.
 
     Memoryless: everything follows from the current positions.
     """
@@ -277,13 +281,12 @@ class _Untangle:
     def run(self, frame: Frame) -> None:
         state, model, fidelity = frame.state, frame.model, self.fidelity
         self.apart[:] = False
-        face_pairs = self.candidates.face_pairs
+        tree = self.candidates.tree
         moved = False
-        for number in range(max(1, self.passes)):
-            if number > 0:
-                self.candidates.tree.refit(state.positions, state.positions, 0.0)
-                face_pairs = self.candidates.tree.self_pairs()
-            hits = self.find(state.positions.copy(), model.surface, face_pairs)
+        for _ in range(max(1, self.passes)):
+            # boxes of the positions alone: those of the whole step hold many times as much
+            tree.refit(state.positions, state.positions, 0.0)
+            hits = self.find(state.positions.copy(), model.surface, edge_face=tree.edges_against_faces())
             frame.count("edge_triangle_tests", hits.edge_triangle_tests)
             frame.count("hits", hits.hit_count)
             self.apart[:] = False
@@ -299,7 +302,8 @@ class _Untangle:
             if fidelity.contacts_near_hits != "keep":
                 self._mark(model, hits, inside)
         if moved:
-            self.pairs.run(frame)
+            # what is tangled soon goes elsewhere than expected
+            self.pairs.look(frame, 1)
 
     def _mark(self, model: ClothModel, hits: Any, inside: Any) -> None:
         """Vertices around the hits, and inside enclosed regions: contact there would lock the wrong side."""
@@ -391,7 +395,7 @@ class _ContactSubsteps:
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
         x, v, p = state.positions, state.velocities, frame.predicted
         motion = s.motion(frame)
-        base, horizon = 0, s.substeps  # candidates hold for the substeps base .. base + horizon - 1
+        base, horizon = 0, found.horizon  # candidates hold for the substeps base .. base + horizon - 1
         for n in range(s.substeps):
             now = time.perf_counter()
             self._predict(frame, motion)
@@ -501,7 +505,7 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         from clothgym.detection.brute_force import BruteForce as Tree  # type: ignore[assignment]
     candidates = Candidates(model, Tree(model.surface, scene.start, fidelity.k, fidelity.arity))
     apart = np.zeros(model.vertex_count, np.bool_)
-    pairs = _FacePairs(candidates, scene.step, np.asarray(scene.gravity, float))
+    pairs = _FacePairs(candidates, scene.step, substeps, np.asarray(scene.gravity, float))
     stages.append(pairs)
     if fidelity.untangling != "none" or fidelity.contacts_near_hits != "keep":
         stages.append(_Untangle(candidates, model, fidelity, pairs, apart))

@@ -178,7 +178,7 @@ class Simulation:
             tree = self._detector()
             x = self._state.positions.copy()
             tree.refit(x, x, 0.0)
-            self._intersections = Intersections(x, self.model.surface, tree.self_pairs())
+            self._intersections = Intersections(x, self.model.surface, edge_face=tree.edges_against_faces())
         return self._intersections
 
     def _detector(self) -> Any:

@@ -128,7 +128,7 @@ def _row(strategy: str, seed: int, hits: list[int], failure: str = "", scene: st
             **untangling.judge(hits, lengths, [0.02] * len(hits)),
             "failure": failure,
             "untangling_passes": 3,
-            "work": {"face_pairs": 100},
+            "work": {"box_pairs": 100},
             "step_seconds": 0.1,
             "untangling_share": 0.02,
         },

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
+from functools import partial
 
 import meshes
 import naive_mechanics as naive
@@ -100,40 +102,145 @@ def uneven(count: int) -> tuple[np.ndarray, np.ndarray]:
     return (centres + 1e-3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("arity", ARITIES)
-@pytest.mark.parametrize("name", ["sheets", "one point", "line", "single", "two", "uneven 20", "uneven 60"])
-def test_the_tree_is_a_tree(name, arity):
+def used(clusters, first, stop):
+    """(B, 16) which lanes of blocks first .. stop hold a primitive, and the ids of these in order."""
+    ids = clusters.ids[first:stop, 0]
+    return ids >= 0, ids[ids >= 0].tolist()
+
+
+@pytest.mark.parametrize("by_component", [True, False])
+@pytest.mark.parametrize("arity", [*ARITIES, 16])
+@pytest.mark.parametrize(
+    "name", ["sheets", "many sheets", "one point", "line", "single", "two", "uneven 20", "uneven 600"]
+)
+def test_every_primitive_is_in_one_leaf(name, arity, by_component):
     makers = {
         "sheets": lambda: meshes.many_sheets(3, 4, 0), "one point": lambda: meshes.everything_at_one_point(9, 40, 0),
         "line": lambda: meshes.on_a_line(9, 40, 0), "single": lambda: (np.eye(3), [[0, 1, 2]]),
-        "two": lambda: meshes.single_hit(), "uneven 20": lambda: uneven(20), "uneven 60": lambda: uneven(60),
+        "two": lambda: meshes.single_hit(), "uneven 20": lambda: uneven(20), "uneven 600": lambda: uneven(600),
+        "many sheets": lambda: meshes.merged(meshes.many_sheets(5, 7, 1), meshes.many_sheets(9, 2, 2)),
     }  # fmt: skip
     vertices, faces = makers[name]()
     surface = cg.Surface(faces, len(vertices))
-    tree = Hierarchy(surface, np.asarray(vertices, float), 18, arity)
-    start, count, face = tree._child_start, tree._child_count, tree._node_face
-    leaves = face[face >= 0]
-    assert sorted(leaves.tolist()) == list(range(len(surface.faces))), "every face in exactly one leaf"
-    assert ((count == 0) == (face >= 0)).all()
-    children = [c for n in np.flatnonzero(count) for c in range(start[n], start[n] + count[n])]
-    assert sorted(children) == list(range(1, len(face))), "every node but the root has exactly one parent"
-    inner = count[count > 0]
-    assert ((inner >= 2) & (inner <= arity)).all()
-    assert (start[count > 0] > np.flatnonzero(count)).all(), "parents come before children"
-    if name == "sheets":  # uneven splits run out of faces before the last level
-        assert inner.max() == arity
+    c = Hierarchy(surface, np.asarray(vertices, float), 18, arity, by_component).clusters
+    leaves = -(-len(surface.faces) // 16)
+    edge_start, vertex_start, levels = c.edge_start.tolist(), c.vertex_start.tolist(), c.levels.tolist()
+    assert len(edge_start) == len(vertex_start) == leaves + 1
+    assert (edge_start[0], vertex_start[0], levels[0]) == (leaves, edge_start[-1], vertex_start[-1])
+    lanes, found = used(c, 0, leaves)
+    assert sorted(found) == list(range(len(surface.faces)))
+    assert lanes[:-1].all(), "all leaves but the last are full"
+    assert sorted(used(c, edge_start[0], edge_start[-1])[1]) == list(range(len(surface.edges)))
+    owned = np.flatnonzero(surface.vertex_owner >= 0).tolist()
+    assert sorted(used(c, vertex_start[0], vertex_start[-1])[1]) == owned
+    for leaf in range(leaves):
+        members = used(c, leaf, leaf + 1)[1]
+        assert (
+            (surface.edge_owner[used(c, edge_start[leaf], edge_start[leaf + 1])[1]][:, None] == members)
+            .any(axis=1)
+            .all()
+        )
+        points = used(c, vertex_start[leaf], vertex_start[leaf + 1])[1]
+        assert (surface.vertex_owner[points][:, None] == members).any(axis=1).all()
+    for block, given in ((0, surface.faces), (edge_start[0], surface.edges[:, [0, 1, 1]])):
+        stop = leaves if block == 0 else edge_start[-1]
+        ids = c.ids[block:stop].transpose(0, 2, 1).reshape(-1, 4)
+        ids = ids[ids[:, 0] >= 0]
+        assert (ids[:, 1:] == given[ids[:, 0]]).all()
+    sizes = np.diff(levels).tolist()
+    assert sizes[-1] == 1
+    for below, above in itertools.pairwise([leaves, *sizes]):
+        assert above == -(-below // arity)
 
 
-@pytest.mark.parametrize("k", [6, 14, 26])
-def test_boxes_hold_their_children(k):
+def test_components_keep_to_themselves():
+    """Leaves hold faces of one component but where two meet in the order; small components are together."""
+    vertices, faces = meshes.merged(meshes.many_sheets(4, 8, 3), uneven(30))
+    surface = cg.Surface(faces, len(vertices))
+    shared = {}
+    for by_component in (True, False):
+        c = Hierarchy(surface, vertices, by_component=by_component).clusters
+        parts = np.minimum(surface.components[surface.faces[:, 0]], 4)
+        shared[by_component] = sum(
+            len({parts[f] for f in block[block >= 0]}) > 1 for block in c.ids[: len(c.edge_start) - 1, 0]
+        )
+    assert shared[True] <= 4 < shared[False]
+
+
+@pytest.mark.parametrize("arity", [2, 4, 8, 16])
+@pytest.mark.parametrize("k", [6, 8, 14, 26])
+def test_boxes_hold_their_children(k, arity):
     surface, start, end, radius = moving_mesh(3)
-    tree = Hierarchy(surface, start, k, 4)
+    tree = Hierarchy(surface, start, k, arity)
     tree.refit(start, end, radius)
-    boxes = tree._boxes
-    for node in np.flatnonzero(tree._child_count):
-        children = boxes[tree._child_start[node] : tree._child_start[node] + tree._child_count[node]]
-        assert (boxes[node, 0::2] == children[:, 0::2].min(axis=0)).all()
-        assert (boxes[node, 1::2] == children[:, 1::2].max(axis=0)).all()
+    c = tree.clusters
+    low, high = (c.boxes[:, np.flatnonzero(np.arange(c.boxes.shape[1]) % 6 // 3 == side)] for side in (0, 1))
+    first, count = 0, len(c.edge_start) - 1
+    for level in range(len(c.levels) - 1):
+        for n in range(count):
+            block, lane = c.levels[level] + n // arity, n % arity
+            assert (low[block, :, lane] == low[first + n].min(axis=1)).all()
+            assert (high[block, :, lane] == high[first + n].max(axis=1)).all()
+        first, count = c.levels[level], c.levels[level + 1] - c.levels[level]
+    for leaf in range(len(c.edge_start) - 1):  # what a leaf owns lies in the box of its faces
+        for starts in (c.edge_start, c.vertex_start):
+            for block in range(starts[leaf], starts[leaf + 1]):
+                some = c.ids[block, 0] >= 0
+                assert (low[block][:, some] >= low[leaf].min(axis=1)[:, None]).all()
+                assert (high[block][:, some] <= high[leaf].max(axis=1)[:, None]).all()
+
+
+def overlapping(ways, first, second) -> set[tuple[int, int]]:
+    """Pairs of primitives (rows of vertex ids) without a common vertex whose boxes overlap; each once if both are the same."""
+    low, high = ways
+    pairs = set()
+    for n, p in enumerate(first):
+        for m, q in enumerate(second):
+            if (first is second and m <= n) or set(p) & set(q):
+                continue
+            if (low[p].min(axis=0) <= high[q].max(axis=0)).all() and (low[q].min(axis=0) <= high[p].max(axis=0)).all():
+                pairs.add((n, m))
+    return pairs
+
+
+@pytest.mark.parametrize("make", ["moving", "needles", "seam", "far", "point"])
+@pytest.mark.parametrize("tree", [partial(Hierarchy, k=6, arity=4), partial(Hierarchy, k=6, arity=16), BruteForce])
+def test_search_lists_exactly_the_overlapping_primitives(make, tree):
+    """Boxes in single precision widen by a hair: pairs that are further apart may not come, nearer ones must."""
+    start, faces = {
+        "moving": lambda: meshes.many_sheets(3, 3, 4), "needles": lambda: meshes.needles(20, 5, 1e-8),
+        "seam": lambda: meshes.seam_of_three(3, 1), "far": lambda: meshes.moved(meshes.crumple(6, 2), None, (1e7, 0, -3e8)),
+        "point": lambda: meshes.everything_at_one_point(12, 30, 0),
+    }[make]()  # fmt: skip
+    rng = np.random.default_rng(0)
+    surface = cg.Surface(faces, len(start))
+    size = max(float(np.ptp(start, axis=0).max()), 1.0)
+    end, radius = start + 0.05 * rng.normal(size=start.shape), rng.uniform(0.0, 0.05, len(start))
+    found = tree(surface, start)
+    found.refit(start, end, radius)
+    found.search(near=True, hits=False)
+    near = found.counts.tolist()
+    found.search(near=False, hits=True)
+    assert found.counts.tolist()[:2] == near[:2], "what is not asked for stays"
+    edges, corners = surface.edges.tolist(), surface.faces.tolist()
+    points = [[v] for v in range(len(start))]
+    for name, first, second in (
+        ("vertex_face", points, corners),
+        ("edge_edge", edges, edges),
+        ("edge_face", edges, corners),
+    ):
+        second = first if name == "edge_edge" else second
+        number = found.counts[("vertex_face", "edge_edge", "edge_face").index(name)]
+        listed = [tuple(p) for p in getattr(found, name)[:number].tolist()]
+        if name == "edge_edge":
+            listed = [(min(p), max(p)) for p in listed]
+        assert len(set(listed)) == len(listed), "a pair comes twice"
+        pads = radius[:, None] + np.array([-1e-9, 4e-6]).reshape(2, 1, 1) * size
+        tight, wide = (
+            overlapping((np.minimum(start, end) - p, np.maximum(start, end) + p), first, second) for p in pads
+        )
+        assert tight <= set(listed) <= wide, name
+        assert len(listed) > 0
 
 
 def test_buffers_grow_and_nothing_is_dropped():
@@ -146,13 +253,38 @@ def test_buffers_grow_and_nothing_is_dropped():
     before = tree.box_tests
     tree.self_pairs()
     once = tree.box_tests - before
-    tree._stack = np.zeros((66, 2), np.int64)
     tree._pairs = np.zeros((1, 2), np.int32)
     assert len(as_set(tree.self_pairs())) == 300 * 299 / 2
-    assert len(tree._stack) > 66
-    before = tree.box_tests
-    tree.self_pairs()
-    assert tree.box_tests - before == once
+    assert tree.box_tests - before == 2 * once
+    brute = BruteForce(surface, vertices)
+    brute.refit(vertices, vertices, 0.0)
+    for lists in (tree, brute):
+        for name in ("vertex_face", "edge_edge", "edge_face"):
+            setattr(lists, name, np.zeros((1, 2), np.int32))
+        lists.search(near=True, hits=True)
+        assert all(
+            len(getattr(lists, n)) >= c > 1 for n, c in zip(("vertex_face", "edge_edge", "edge_face"), lists.counts)
+        )
+    assert tree.counts[:3].tolist() == brute.counts[:3].tolist()
+
+
+def test_no_allocation_once_warm():
+    surface, start, end, radius = moving_mesh(4)
+    tree = Hierarchy(surface, start)
+    for _ in range(2):
+        tree.refit(start, end, radius)
+        tree.search(near=True, hits=True)
+        tree.self_pairs()
+    kept = [id(value) for value in vars(tree).values() if isinstance(value, np.ndarray)]
+    tracemalloc.start()
+    for _ in range(5):
+        tree.refit(end, start, radius)
+        tree.search(near=True, hits=True)
+        tree.self_pairs()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept == [id(value) for value in vars(tree).values() if isinstance(value, np.ndarray)]
+    assert peak < 20_000, "numpy reports what it allocates"
 
 
 def test_box_tests_count_the_work_of_one_traversal_only():

@@ -319,3 +319,81 @@ def test_wrong_shapes_and_types_are_named(vertices, faces, field):
 def test_bad_distance_is_named(distance):
     with pytest.raises(ValueError, match="distance"):
         cg.proximities(*meshes.grid(2, 2), distance)
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# a surface that is used again
+
+
+def same_as_fresh(vertices, faces, surface, distance: float) -> None:
+    """A surface that has seen other shapes answers like a new one, to the last bit."""
+    near, fresh = (cg.proximities(vertices, s, distance) for s in (surface, cg.Surface(faces, len(vertices))))
+    for name in ("vertex_triangle", "vertex_triangle_distance", "edge_edge", "edge_edge_distance"):
+        assert np.array_equal(getattr(near, name), getattr(fresh, name)), name
+    hits, fresh = (cg.intersections(vertices, s) for s in (surface, cg.Surface(faces, len(vertices))))
+    assert np.array_equal(hits.edge_triangle, fresh.edge_triangle)
+    assert np.array_equal(hits.points, fresh.points)
+    assert np.array_equal(hits.segments, fresh.segments)
+
+
+def test_results_do_not_depend_on_earlier_shapes():
+    vertices, faces = meshes.layers(4, 12, 0.03, 3)
+    surface = cg.Surface(faces, len(vertices))
+    sheet = np.arange(len(vertices)) // (len(vertices) // 4)
+    rng = np.random.default_rng(1)
+    trees = set()
+    for spread in (0.0, 0.1, 3.0, 3.0, 0.02, 0.0):
+        moved = vertices + spread * sheet[:, None] * np.array([1.0, 0.3, -0.6]) + rng.normal(0, 0.003, vertices.shape)
+        same_as_fresh(moved, faces, surface, 0.05)
+        trees.add(id(getattr(surface, "_tree", (None,))[0]))
+    assert len(trees) > 1, "a tree whose leaves are torn apart is made anew"
+
+
+def test_more_vertices_than_before():
+    vertices, faces, distance = scene("layers-close")
+    surface = cg.Surface(faces)
+    same_as_fresh(vertices, faces, surface, distance)
+    same_as_fresh(np.concatenate([vertices, vertices[:5] + 7.0]), faces, surface, distance)
+
+
+@pytest.mark.parametrize("scale", [1e-45, 1e-12, 1e9])
+@pytest.mark.parametrize("offset", [0.0, 1e3])
+def test_any_scale_and_place(scale, offset):
+    """Boxes are kept in single precision relative to the mesh: neither size nor place may lose a pair."""
+    vertices, faces, distance = scene("layers-close")
+    shifted = np.round(vertices * 2**20) / 2**20 + offset  # exact, so that the distances are the same numbers
+    before = cg.proximities(shifted - offset, faces, distance)
+    power = 2.0 ** np.round(np.log2(scale))
+    after = cg.proximities(shifted * power, faces, distance * power)
+    assert rows(before.vertex_triangle) == rows(after.vertex_triangle)
+    assert rows(before.edge_edge) == rows(after.edge_edge)
+
+
+def ribbon(turns: int, cells: int) -> meshes.Mesh:
+    """A narrow strip wound up, layer upon layer, with 4 mm between them."""
+    vertices, faces = meshes.grid(cells, 2, 1.0, 0.02)
+    angle = 2 * np.pi * turns * vertices[:, 0]
+    radius = 0.02 + 0.004 * turns * vertices[:, 0]
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), vertices[:, 2]], axis=1), faces
+
+
+def accordion(pleats: int, cells: int) -> meshes.Mesh:
+    """A sheet in pleats whose walls stand 3 mm apart."""
+    vertices, faces = meshes.grid(pleats * cells, cells, pleats * 0.1, 0.1, alternate=True)
+    along = vertices[:, 0] / 0.1
+    height = 0.1 * np.abs((along % 2.0) - 1.0)
+    return np.stack([0.003 * along, height, vertices[:, 2]], axis=1), faces
+
+
+@pytest.mark.parametrize("lattice", [False, True])
+@pytest.mark.parametrize(
+    "make", [partial(ribbon, 4, 70), partial(accordion, 6, 6), partial(meshes.layers, 6, 5, 0.003, 2)]
+)
+def test_ribbons_folds_and_layers(make, lattice):
+    vertices, faces = make()
+    if lattice:
+        vertices = np.round(vertices * 512) / 512
+    for distance in (0.002, 0.0041):
+        near = cg.proximities(vertices, faces, distance)
+        assert_equal_near(near, vertices, faces, distance)
+    assert len(near.vertex_triangle) + len(near.edge_edge) > 50

@@ -251,7 +251,7 @@ def _cost_table(rows: list[Row]) -> Table:
             _median(r["untangling_share"] for r in results),
             _median(r["untangling_passes"] for r in results),
             _median(r["work"].get("edge_triangle_tests") for r in results),
-            _median(r["work"].get("face_pairs") for r in results),
+            _median(r["work"].get("box_pairs") for r in results),
             _median(r["work"].get("contacts") for r in results),
         )
         for strategy, results in _by_strategy(rows)

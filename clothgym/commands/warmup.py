@@ -171,6 +171,19 @@ def _dressing() -> None:
     cg.drape("cuff", cg.Body((post, faces), limbs=(limb,)), fit=False, edge_length=0.06, fidelity="draft", seconds=0.02)
 
 
+def _hierarchies() -> None:
+    from clothgym.detection.dop_scene import DopScene
+
+    vertices, faces = _crossing_sheets()
+    chosen: tuple[dict[str, Any], ...] = ({"cones": "exact"}, {"lazy": 0.01}, {"coherence": True})
+    for settings in chosen:
+        scene = DopScene(**settings)
+        number = scene.add(vertices, faces)
+        for _ in range(2):
+            scene.update(number, vertices, vertices, 0.01)
+            scene.misses(scene.collide(0.05), 0.05)
+
+
 def _pictures() -> None:
     from clothgym.recording import frames
 
@@ -190,6 +203,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "sides": _sides,
     "body": _body,
     "dressing": _dressing,
+    "hierarchies": _hierarchies,
     "pictures": _pictures,
 }
 """Every feature on a tiny input, in this order."""

@@ -1,17 +1,19 @@
-"""Every pair of faces: the comparator for the hierarchy, exchangeable with it."""
+"""Every pair of primitives: the comparator for the hierarchy, exchangeable with it."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
+from clothgym.kernels import kdop, proximity
 from clothgym.mesh import Surface
 
 _LARGEST = 10_000
 
 
 class BruteForce:
-    """Same face as `Hierarchy`, without boxes: every pair of faces is a candidate."""
+    """Same face as `Hierarchy`, without a tree: every pair of faces, and every pair of primitives whose boxes overlap."""
 
     def __init__(self, surface: Surface, vertices: FloatArray, k: int = 0, arity: int = 0) -> None:
         self.surface = surface
@@ -20,13 +22,42 @@ class BruteForce:
             raise ValueError(
                 f"fidelity.detection = 'brute_force': {count} faces make too many pairs; at most {_LARGEST}"
             )
-        first, second = np.triu_indices(count, 1)
-        self._pairs = np.stack([first, second], axis=1).astype(np.int32)
+        self._ways = np.zeros((len(vertices), 6))
+        self.vertex_face: IntArray = np.empty((64, 2), np.int32)
+        self.edge_edge: IntArray = np.empty((64, 2), np.int32)
+        self.edge_face: IntArray = np.empty((64, 2), np.int32)
+        self.counts: NDArray[np.int64] = np.zeros(4, np.int64)
         self.box_tests = 0
 
     def refit(self, start: FloatArray, end: FloatArray, radius: float | FloatArray) -> None:
-        """Nothing to refit."""
+        """Boxes around the vertices on their way from start to end (V, 3), widened by radius [m], one for all or (V,)."""
+        pads = np.atleast_1d(np.asarray(radius, np.float64))
+        kdop.vertex_intervals(start, end, kdop.AXES[6], np.ones(3), pads, self._ways)
+
+    def search(self, near: bool, hits: bool) -> None:
+        """As `Hierarchy.search`."""
+        s = self.surface
+        points = np.arange(len(self._ways), dtype=np.int32).reshape(-1, 1)
+        owned = np.ascontiguousarray(points[: s.vertex_count][s.vertex_owner >= 0])
+        wanted = [("vertex_face", owned, s.faces), ("edge_edge", s.edges, s.edges)] if near else []
+        if hits:
+            wanted.append(("edge_face", s.edges, s.faces))
+        for name, first, second in wanted:
+            while True:
+                found = proximity.every_pair(self._ways, first, second, getattr(self, name))
+                if found <= len(getattr(self, name)):
+                    break
+                setattr(self, name, np.empty((int(1.3 * found) + 64, 2), np.int32))
+            if name == "vertex_face":
+                self.vertex_face[:found, 0] = owned[self.vertex_face[:found, 0], 0]
+            self.counts[("vertex_face", "edge_edge", "edge_face").index(name)] = found
+
+    def edges_against_faces(self) -> IntArray:
+        """As `Hierarchy.edges_against_faces`."""
+        self.search(near=False, hits=True)
+        return self.edge_face[: self.counts[2]]
 
     def self_pairs(self) -> IntArray:
         """(F (F - 1) / 2, 2) all face pairs."""
-        return self._pairs
+        first, second = np.triu_indices(len(self.surface.faces), 1)
+        return np.stack([first, second], axis=1).astype(np.int32)

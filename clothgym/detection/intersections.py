@@ -13,7 +13,19 @@ from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.kernels import contour as contour_kernels
 from clothgym.kernels import proximity
-from clothgym.mesh import Surface, as_surface
+from clothgym.mesh import Surface, SurfaceArrays, as_surface
+
+_K, _ARITY = 6, 16
+"""Of a surface's own tree: measured the fastest for single queries."""
+
+_WORN = 1.5
+"""A surface's own tree is made anew when it takes this many times the tests that it took when new, pair for pair."""
+
+_JOINED = {
+    *("first_hit", "second_hit", "_pair_faces", "hits_per_pair", "loop_vertex", "segments", "segment_lengths"),
+    *("contour", "contour_count", "contour_consistent", "hit_contour", "hit_side"),
+}
+"""Attributes of `Intersections` that are made together at first use."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +57,12 @@ class Contour:
 class Intersections:
     """All intersections of a surface with itself (several meshes may be one surface).
 
+    Args:
+        vertices: (V, 3) [m], not copied.
+        surface: topology.
+        pairs: (C, 2) pairs of faces that may intersect, or instead
+        edge_face: (C, 2) pairs of an edge and a face without a common vertex that may (`Hierarchy.search`); reordered.
+
     Attributes:
         edge_triangle: (H, 3) e0, e1 (e0 < e1), face id; sorted.
         parameters: (H,) t of the point P = (1 - t) e0 + t e1.
@@ -57,20 +75,25 @@ class Intersections:
         edge_triangle_tests: exact tests that were made.
     """
 
-    def __init__(self, vertices: FloatArray, surface: Surface, pairs: IntArray) -> None:
+    def __init__(
+        self, vertices: FloatArray, surface: Surface, pairs: IntArray | None = None, edge_face: IntArray | None = None
+    ) -> None:
         self.vertices = vertices
         self.surface = surface
         self.skipped_faces = surface.skipped_faces
         s = surface.arrays
-        keys = np.empty(max(256, len(surface.faces) // 4), np.int64)
+        if edge_face is None:
+            edge_face = _edges_against_faces(vertices, s, pairs)
+        keys = np.empty(max(64, len(surface.faces) // 8), np.int64)
         # predicates multiply three coordinates: scaled by a power of two, their roundings stay far from over- and underflow
         largest = float(np.abs(vertices).max()) if len(vertices) else 0.0
         power = 0 if largest == 0.0 else 300 - int(np.frexp(largest)[1])
         scaled = np.ldexp(vertices, power)
         while True:
-            found, tests = contour_kernels.find_hits(scaled, s.faces, s.face_edges, s.edges, s.edge_owner, pairs, keys)
+            found, tests = contour_kernels.find_hits(scaled, s.faces, s.edges, edge_face, len(edge_face), keys)
             if found <= len(keys):
                 break
+            edge_face = edge_face[:tests]
             keys = np.empty(found, np.int64)
         self.edge_triangle_tests = int(tests)
         keys = np.sort(keys[:found])
@@ -81,11 +104,18 @@ class Intersections:
         self.parameters = np.empty(found)
         self.weights = np.empty((found, 3))
         self.points = np.empty((found, 3))
-        contour_kernels.place_hits(
-            scaled, s.faces, s.edges, self.hit_edge, self.hit_face, self.parameters, self.weights, self.points
-        )
-        self.points = np.ldexp(self.points, -power)
+        if found:
+            contour_kernels.place_hits(
+                scaled, s.faces, s.edges, self.hit_edge, self.hit_face, self.parameters, self.weights, self.points
+            )
+            self.points = np.ldexp(self.points, -power)
+
+    def __getattr__(self, name: str) -> Any:
+        """Segments and contours are joined when first asked for: who looks for hits only need not wait for them."""
+        if name not in _JOINED:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         self._join()
+        return self.__dict__[name]
 
     def _join(self) -> None:
         """Pairs, segments and contours from the hits."""
@@ -256,9 +286,8 @@ def intersections(vertices: Any, faces: Any = None) -> Intersections:
         ValueError: names the offending index.
     """
     x, surface = as_surface(vertices, faces)
-    tree = _tree(surface, x)
-    tree.refit(x, x, 0.0)
-    return Intersections(x, surface, tree.self_pairs())
+    tree = _search(surface, x, 0.0, near=False)
+    return Intersections(x.copy(), surface, edge_face=tree.edge_face[: tree.counts[2]])
 
 
 def proximities(vertices: Any, faces: Any = None, distance: float | None = None) -> Proximities:
@@ -274,35 +303,44 @@ def proximities(vertices: Any, faces: Any = None, distance: float | None = None)
         faces, distance = None, faces
     distance = check_number(distance, "distance", 0.0, 1e12)
     x, surface = as_surface(vertices, faces)
-    tree = _tree(surface, x)
-    # half the distance on both boxes, and a hair more: the interval sums are rounded
-    scale = float(np.abs(x).max()) if len(x) else 0.0
-    tree.refit(x, x, 0.5 * distance + 1e-14 * scale)
-    pairs = tree.self_pairs()
-    capacity = max(256, 4 * len(surface.faces))
+    tree = _search(surface, x, 0.5 * distance, near=True)
+    point_gaps, line_gaps = np.empty(tree.counts[0]), np.empty(tree.counts[1])
+    faces, edges = surface.faces, surface.edges
+    proximity.keep_near(x, faces, edges, distance, tree.vertex_face, tree.edge_edge, tree.counts, point_gaps, line_gaps)
+    points, lines = int(tree.counts[0]), int(tree.counts[1])
+    vt, vt_gaps = np.empty((points, 2), np.int32), np.empty(points)
+    ee, ee_gaps = np.empty((lines, 4), np.int32), np.empty(lines)
+    face_names = surface.face_ids.reshape(-1, 1)
+    proximity.arrange(tree.vertex_face, point_gaps, np.empty(len(x) + 2, np.int32), face_names, vt, vt_gaps)
+    proximity.arrange(tree.edge_edge, line_gaps, np.empty(len(edges) + 2, np.int32), edges, ee, ee_gaps)
+    return Proximities(vt, vt_gaps, ee, ee_gaps, surface.skipped_faces)
+
+
+def _edges_against_faces(vertices: FloatArray, s: SurfaceArrays, pairs: Any) -> IntArray:
+    """Pairs of an edge and a face out of pairs of faces."""
+    edge_face = np.empty((max(64, 2 * len(pairs)), 2), np.int32)
     while True:
-        quads, kinds = np.empty((capacity, 4), np.int32), np.empty(capacity, np.uint8)
-        distances = np.empty(capacity)
-        found = proximity.find_proximities(x, surface.arrays, distance, pairs, quads, kinds, distances)
-        if found <= capacity:
-            break
-        capacity = found
-    quads, kinds, distances = quads[:found], kinds[:found], distances[:found]
-    points, edges = kinds == 0, kinds == 1
-    vt = quads[points][:, :2]
-    vt[:, 1] = surface.face_ids[vt[:, 1]]
-    vt_order = np.lexsort((vt[:, 1], vt[:, 0]))
-    ee = quads[edges]
-    ee_order = np.lexsort((ee[:, 3], ee[:, 2], ee[:, 1], ee[:, 0]))
-    return Proximities(
-        vt[vt_order], distances[points][vt_order], ee[ee_order], distances[edges][ee_order], surface.skipped_faces
-    )
+        found = contour_kernels.edges_against_faces(
+            vertices, s.faces, s.face_edges, s.edges, s.edge_owner, pairs, edge_face
+        )
+        if found <= len(edge_face):
+            return edge_face[:found]
+        edge_face = np.empty((found, 2), np.int32)
 
 
-def _tree(surface: Surface, vertices: FloatArray) -> Hierarchy:
-    """The surface's own tree, made at first use: its topology is reused while the vertices move."""
-    tree = getattr(surface, "_tree", None)
-    if tree is None or tree._intervals.shape[0] != len(vertices):
-        tree = Hierarchy(surface, vertices)
-        surface._tree = tree  # type: ignore[attr-defined]
+def _search(surface: Surface, vertices: FloatArray, radius: float, near: bool) -> Hierarchy:
+    """The surface's own tree with the pairs of these boxes: near ones, or those that may hit.
+
+    Made at first use and kept while the vertices move, until it takes much more tests than when it was new.
+    """
+    tree, fresh = getattr(surface, "_tree", (None, None))
+    if tree is None or fresh is None or len(tree._ways) != len(vertices):
+        tree, fresh = Hierarchy(surface, vertices, _K, _ARITY, by_component=False), {}
+        surface._tree = (tree, fresh)  # type: ignore[attr-defined]
+    tree.refit(vertices, vertices, radius)
+    tree.search(near, not near)
+    counts = tree.counts.tolist()
+    effort = counts[3] / (len(surface.faces) + (counts[0] + counts[1] if near else counts[2]) + 1)
+    if effort > _WORN * fresh.setdefault(near, effort):
+        del surface._tree  # type: ignore[attr-defined]
     return tree

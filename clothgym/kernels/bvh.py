@@ -1,4 +1,4 @@
-"""Bounding-volume hierarchy of triangles: top-down build [Mezger 2003, 4.1-4.2] and traversal against itself."""
+"""Bounding-volume hierarchy with one triangle a leaf, for queries of points: top-down build [Mezger 2003, 4.1-4.2]."""
 
 from __future__ import annotations
 
@@ -103,76 +103,3 @@ def build(centroids, axes, axis_lengths, arity, child_start, child_count, node_f
             nodes += 1
         node += 1
     return nodes
-
-
-@device
-def _overlap(boxes, a, b):
-    for n in range(0, boxes.shape[1], 2):
-        if boxes[a, n] > boxes[b, n + 1] or boxes[b, n] > boxes[a, n + 1]:
-            return False
-    return True
-
-
-@device
-def _extent(boxes, a):
-    return max(boxes[a, 1] - boxes[a, 0], boxes[a, 3] - boxes[a, 2], boxes[a, 5] - boxes[a, 4])
-
-
-@kernel
-def self_pairs(child_start, child_count, node_face, boxes, stack, pairs):
-    """Pairs of triangles whose boxes overlap, each unordered pair once [Mezger 2003, 6.2].
-
-    Writes face ids to pairs (C, 2) as far as they fit and returns (pairs found, box tests, whether the stack (S, 2)
-    was too small). The caller grows the buffer and repeats when more were found than fit: nothing is dropped.
-    """
-    found = 0
-    tests = 0
-    top = 0
-    capacity = pairs.shape[0]
-    if boxes.shape[0] == 0:
-        return found, tests, False
-    stack[0, 0] = 0
-    stack[0, 1] = 0
-    top = 1
-    while top > 0:
-        if top + 64 > stack.shape[0]:
-            return found, tests, True
-        top -= 1
-        a = stack[top, 0]
-        b = stack[top, 1]
-        if a == b:
-            first = child_start[a]
-            last = first + child_count[a]
-            for i in range(first, last):
-                if child_count[i] > 0:
-                    stack[top, 0] = i
-                    stack[top, 1] = i
-                    top += 1
-                for j in range(i + 1, last):
-                    tests += 1
-                    if _overlap(boxes, i, j):
-                        if child_count[i] == 0 and child_count[j] == 0:
-                            if found < capacity:
-                                pairs[found, 0] = min(node_face[i], node_face[j])
-                                pairs[found, 1] = max(node_face[i], node_face[j])
-                            found += 1
-                        else:
-                            stack[top, 0] = i
-                            stack[top, 1] = j
-                            top += 1
-            continue
-        if child_count[a] == 0 or (child_count[b] > 0 and _extent(boxes, b) > _extent(boxes, a)):
-            a, b = b, a
-        for i in range(child_start[a], child_start[a] + child_count[a]):
-            tests += 1
-            if _overlap(boxes, i, b):
-                if child_count[i] == 0 and child_count[b] == 0:
-                    if found < capacity:
-                        pairs[found, 0] = min(node_face[i], node_face[b])
-                        pairs[found, 1] = max(node_face[i], node_face[b])
-                    found += 1
-                else:
-                    stack[top, 0] = i
-                    stack[top, 1] = b
-                    top += 1
-    return found, tests, False

@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from clothgym._jit import device, kernel
-from clothgym.kernels.predicates import orient3d_sign
 from clothgym.kernels.primitives import edge_hits_triangle
 from clothgym.kernels.vec3 import cross, dot, length, triangle_normal, unit
 
@@ -21,167 +20,125 @@ _KAPPA_EPS2 = 1e-6
 
 
 @device
-def _shared_vertices(faces, a, b):
-    count = 0
-    for i in range(3):
-        for j in range(3):
-            if faces[a, i] == faces[b, j]:
-                count += 1
-    return count
+def _edge_apart_from_face(x, e0, e1, a0, a1, a2):
+    """Whether an edge passes a face by, by a safe margin: on one side of its plane or of one across the line of their centres,
+    or outside its three sides.
+
+    Branch-free, and spares nearly all pairs the exact predicates; in flat neighbourhoods, where every determinant is
+    a tie, it is the line of the centres that does.
+    """
+    ux = x[a1, 0] - x[a0, 0]
+    uy = x[a1, 1] - x[a0, 1]
+    uz = x[a1, 2] - x[a0, 2]
+    wx = x[a2, 0] - x[a0, 0]
+    wy = x[a2, 1] - x[a0, 1]
+    wz = x[a2, 2] - x[a0, 2]
+    px = x[e0, 0] - x[a0, 0]
+    py = x[e0, 1] - x[a0, 1]
+    pz = x[e0, 2] - x[a0, 2]
+    qx = x[e1, 0] - x[a0, 0]
+    qy = x[e1, 1] - x[a0, 1]
+    qz = x[e1, 2] - x[a0, 2]
+    mx = 3.0 * (px + qx) - 2.0 * (ux + wx)
+    my = 3.0 * (py + qy) - 2.0 * (uy + wy)
+    mz = 3.0 * (pz + qz) - 2.0 * (uz + wz)
+    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
+    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
+    low = dot(mx, my, mz, px, py, pz)
+    other = dot(mx, my, mz, qx, qy, qz)
+    low = low if low < other else other
+    high = dot(mx, my, mz, ux, uy, uz)
+    other = dot(mx, my, mz, wx, wy, wz)
+    high = high if high > other else other
+    high = high if high > 0.0 else 0.0
+    across = low - high > 1e-12 * size * size
+    nx, ny, nz = cross(ux, uy, uz, wx, wy, wz)
+    low = dot(nx, ny, nz, px, py, pz)
+    high = dot(nx, ny, nz, qx, qy, qz)
+    margin = 1e-12 * size * size * size
+    across |= ((low > margin) & (high > margin)) | ((low < -margin) & (high < -margin))
+    # the edge's line passes outside where it sees two sides of the face run differently around it
+    rx, ry, rz = cross(px, py, pz, qx, qy, qz)
+    first = -dot(rx, ry, rz, ux, uy, uz)
+    third = dot(rx, ry, rz, wx, wy, wz)
+    second = low - high - first - third
+    left = (first > margin) | (second > margin) | (third > margin)
+    right = (first < -margin) | (second < -margin) | (third < -margin)
+    return across | (left & right)
+
+
+@kernel
+def find_hits(x, faces, edges, edge_face, count, keys):
+    """Hits among pairs of an edge and a face without a common vertex.
+
+    Shapes: x (V, 3); faces (F, 3); edges (E, 2); edge_face (C, 2) ids, of which the first `count` are read and reordered.
+    Writes edge_id * F + face_id to keys (K,) as far as they fit; returns (hits found, exact edge-triangle tests).
+    """
+    left = 0
+    for n in range(count):
+        edge = edge_face[n, 0]
+        face = edge_face[n, 1]
+        edge_face[left, 0] = edge
+        edge_face[left, 1] = face
+        left += not _edge_apart_from_face(
+            x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2]
+        )
+    found = 0
+    for n in range(left):
+        edge = edge_face[n, 0]
+        face = edge_face[n, 1]
+        hit, _, _, _, _, _ = edge_hits_triangle(
+            x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2]
+        )
+        if hit:
+            if found < keys.shape[0]:
+                keys[found] = np.int64(edge) * faces.shape[0] + face
+            found += 1
+    return found, left
 
 
 @device
-def _one_side(x, faces, a, b):
-    """Whether all vertices of face b that are not on face a lie strictly on one side of its plane (exactly decided)."""
-    a0 = faces[a, 0]
-    a1 = faces[a, 1]
-    a2 = faces[a, 2]
-    side = 0
-    for j in range(3):
-        v = faces[b, j]
-        if v == a0 or v == a1 or v == a2:
-            continue
-        s, _ = orient3d_sign(x, a0, a1, a2, v)
-        if side == 0:
-            side = s
-        elif s != side:
-            return False
-    return True
-
-
-@device
-def _boxes_apart(x, faces, a, b):
+def _edge_box_apart_from_face(x, e0, e1, a0, a1, a2):
     for c in range(3):
-        p = x[faces[a, 0], c]
-        q = x[faces[a, 1], c]
-        r = x[faces[a, 2], c]
-        u = x[faces[b, 0], c]
-        v = x[faces[b, 1], c]
-        w = x[faces[b, 2], c]
-        if max(p, q, r) < min(u, v, w) or max(u, v, w) < min(p, q, r):
+        p = x[e0, c]
+        q = x[e1, c]
+        u = x[a0, c]
+        v = x[a1, c]
+        w = x[a2, c]
+        if max(p, q) < min(u, v, w) or max(u, v, w) < min(p, q):
             return True
     return False
 
 
-@device
-def _apart_along_centres(x, faces, a, b):
-    """Whether faces without a shared vertex are separated along the line of their centres, by a safe margin.
-
-    Spares flat neighbourhoods the exact predicates: there every plane test is a tie.
-    """
-    ux = 0.0
-    uy = 0.0
-    uz = 0.0
-    for j in range(3):
-        ux += x[faces[b, j], 0] - x[faces[a, j], 0]
-        uy += x[faces[b, j], 1] - x[faces[a, j], 1]
-        uz += x[faces[b, j], 2] - x[faces[a, j], 2]
-    o = faces[a, 0]
-    high = 0.0
-    low = math.inf
-    size = 0.0
-    for j in range(3):
-        v = faces[a, j]
-        p = dot(ux, uy, uz, x[v, 0] - x[o, 0], x[v, 1] - x[o, 1], x[v, 2] - x[o, 2])
-        high = max(high, p)
-        size = max(size, abs(p))
-        v = faces[b, j]
-        p = dot(ux, uy, uz, x[v, 0] - x[o, 0], x[v, 1] - x[o, 1], x[v, 2] - x[o, 2])
-        low = min(low, p)
-        size = max(size, abs(p))
-    scale = abs(ux) + abs(uy) + abs(uz)
-    largest = abs(x[o, 0]) + abs(x[o, 1]) + abs(x[o, 2])
-    return low - high > 1e-12 * (size + scale * largest)
-
-
-@device
-def _apart_at_vertex(x, faces, a, b):
-    """Whether two faces that share one vertex lie in opposite half-spaces there, by a safe margin."""
-    v = -1
-    for i in range(3):
-        for j in range(3):
-            if faces[a, i] == faces[b, j]:
-                v = faces[a, i]
-    ux = 0.0
-    uy = 0.0
-    uz = 0.0
-    for side in range(2):
-        face = a if side == 0 else b
-        sign = -1.0 if side == 0 else 1.0
-        bx = 0.0
-        by = 0.0
-        bz = 0.0
-        for j in range(3):
-            w = faces[face, j]
-            if w != v:
-                dx, dy, dz, _ = unit(x[w, 0] - x[v, 0], x[w, 1] - x[v, 1], x[w, 2] - x[v, 2])
-                bx += dx
-                by += dy
-                bz += dz
-        bx, by, bz, _ = unit(bx, by, bz)
-        ux += sign * bx
-        uy += sign * by
-        uz += sign * bz
-    largest = abs(x[v, 0]) + abs(x[v, 1]) + abs(x[v, 2])
-    for side in range(2):
-        face = a if side == 0 else b
-        sign = -1.0 if side == 0 else 1.0
-        for j in range(3):
-            w = faces[face, j]
-            if w == v:
-                continue
-            dx = x[w, 0] - x[v, 0]
-            dy = x[w, 1] - x[v, 1]
-            dz = x[w, 2] - x[v, 2]
-            if sign * dot(ux, uy, uz, dx, dy, dz) <= 1e-12 * (abs(dx) + abs(dy) + abs(dz) + largest):
-                return False
-    return True
-
-
 @kernel
-def find_hits(x, faces, face_edges, edges, edge_owner, pairs, keys):
-    """Hits among candidate face pairs, each edge tested from its owner face only.
+def edges_against_faces(x, faces, face_edges, edges, edge_owner, pairs, edge_face):
+    """Pairs of an edge and a face without a common vertex whose boxes meet, out of pairs of faces (C, 2).
 
-    Shapes: x (V, 3); faces (F, 3); face_edges (F, 3) edge ids; edges (E, 2); edge_owner (E,) face ids; pairs (C, 2).
-    Writes edge_id * F + face_id to keys (K,) as far as they fit; returns (hits found, edge-triangle tests).
+    Each edge comes from its owner face only. Writes as many to edge_face (K, 2) as fit; returns how many there are.
     """
     found = 0
-    tests = 0
-    face_count = faces.shape[0]
     for n in range(pairs.shape[0]):
-        a = pairs[n, 0]
-        b = pairs[n, 1]
-        shared = _shared_vertices(faces, a, b)
-        if shared >= 2:
-            continue
-        if shared == 1:
-            if _apart_at_vertex(x, faces, a, b):
-                continue
-        elif _boxes_apart(x, faces, a, b) or _apart_along_centres(x, faces, a, b):
-            continue
-        if _one_side(x, faces, a, b) or _one_side(x, faces, b, a):
-            continue
         for side in range(2):
-            edge_face = a if side == 0 else b
-            face = b if side == 0 else a
+            edge_of = pairs[n, side]
+            face = pairs[n, 1 - side]
             a0 = faces[face, 0]
             a1 = faces[face, 1]
             a2 = faces[face, 2]
             for k in range(3):
-                edge = face_edges[edge_face, k]
-                if edge_owner[edge] != edge_face:
+                edge = face_edges[edge_of, k]
+                if edge_owner[edge] != edge_of:
                     continue
                 e0 = edges[edge, 0]
                 e1 = edges[edge, 1]
                 if e0 == a0 or e0 == a1 or e0 == a2 or e1 == a0 or e1 == a1 or e1 == a2:
                     continue
-                tests += 1
-                hit, _, _, _, _, _ = edge_hits_triangle(x, e0, e1, a0, a1, a2)
-                if hit:
-                    if found < keys.shape[0]:
-                        keys[found] = np.int64(edge) * face_count + face
-                    found += 1
-    return found, tests
+                if _edge_box_apart_from_face(x, e0, e1, a0, a1, a2):
+                    continue
+                if found < edge_face.shape[0]:
+                    edge_face[found, 0] = edge
+                    edge_face[found, 1] = face
+                found += 1
+    return found
 
 
 @device

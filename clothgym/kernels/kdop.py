@@ -6,9 +6,11 @@ interval by |n| d: the paper's eps/2 holds for unit normals only and would miss 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from clothgym._jit import kernel
+from clothgym._jit import device, kernel
 
 _SIX = [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
 _EIGHT = [(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)]
@@ -67,3 +69,111 @@ def refit(child_start, child_count, node_face, faces, intervals, boxes):
                     high = max(high, boxes[child, a + 1])
                 boxes[node, a] = low
                 boxes[node, a + 1] = high
+
+
+_MARGIN = 2.0**-20
+"""Of intervals in single precision, coordinates being 0 .. 1: more than all roundings on the way there."""
+
+
+@device
+def _vertex_ways(start, end, radius, axes, axis_lengths, ways):
+    """Intervals of each vertex in single precision, with a margin: what overlaps in exact numbers overlaps here.
+
+    Coordinates are 0 .. 1 in the box of all ways; halves keep differences of the largest numbers finite.
+    """
+    same = radius.shape[0] == 1
+    origin = np.empty(3, np.float64)
+    extent = 0.0
+    for k in range(3):
+        low = math.inf
+        high = -math.inf
+        for v in range(start.shape[0]):
+            pad = radius[0 if same else v]
+            p = start[v, k]
+            q = end[v, k]
+            low = min(low, 0.5 * min(p, q) - 0.5 * pad)
+            high = max(high, 0.5 * max(p, q) + 0.5 * pad)
+        origin[k] = low
+        extent = max(extent, high - low)
+    scale = 1.0 / max(extent, 1e-290)
+    for v in range(start.shape[0]):
+        pad = 0.5 * radius[0 if same else v]
+        px = (0.5 * start[v, 0] - origin[0]) * scale
+        py = (0.5 * start[v, 1] - origin[1]) * scale
+        pz = (0.5 * start[v, 2] - origin[2]) * scale
+        qx = (0.5 * end[v, 0] - origin[0]) * scale
+        qy = (0.5 * end[v, 1] - origin[1]) * scale
+        qz = (0.5 * end[v, 2] - origin[2]) * scale
+        for a in range(axes.shape[0]):
+            p = axes[a, 0] * px + axes[a, 1] * py + axes[a, 2] * pz
+            q = axes[a, 0] * qx + axes[a, 1] * qy + axes[a, 2] * qz
+            wide = pad * axis_lengths[a] * scale + _MARGIN
+            row = 6 * (a // 3) + a % 3
+            ways[v, row] = np.float32((p if p < q else q) - wide)
+            ways[v, row + 3] = np.float32((p if p > q else q) + wide)
+
+
+@kernel
+def refit_clusters(start, end, radius, axes, axis_lengths, clusters, ways):
+    """Boxes of `clusters.Clusters` around their primitives on the way from `start` to `end` (V, 3) [Mezger 2003, eq. 2].
+
+    radius (V,) or (1,) for all [m] widens them; axes (A, 3), A a multiple of three, axis_lengths (A,); ways (V, 2 A) is
+    scratch.
+    """
+    _vertex_ways(start, end, radius, axes, axis_lengths, ways)
+    boxes = clusters.boxes
+    ids = clusters.ids
+    leaves = clusters.edge_start.shape[0] - 1
+    for row in range(0, boxes.shape[1], 6):
+        for b in range(leaves):
+            for n in range(16):
+                i = ids[b, 1, n]
+                if i < 0:
+                    break
+                j = ids[b, 2, n]
+                k = ids[b, 3, n]
+                for r in range(row, row + 3):
+                    low = ways[i, r]
+                    high = ways[i, r + 3]
+                    p = ways[j, r]
+                    q = ways[j, r + 3]
+                    low = p if p < low else low
+                    high = q if q > high else high
+                    p = ways[k, r]
+                    q = ways[k, r + 3]
+                    boxes[b, r, n] = p if p < low else low
+                    boxes[b, r + 3, n] = q if q > high else high
+        for b in range(leaves, clusters.vertex_start[leaves]):
+            for n in range(16):
+                i = ids[b, 1, n]
+                if i < 0:
+                    break
+                j = ids[b, 2, n]
+                for r in range(row, row + 3):
+                    low = ways[i, r]
+                    high = ways[i, r + 3]
+                    p = ways[j, r]
+                    q = ways[j, r + 3]
+                    boxes[b, r, n] = p if p < low else low
+                    boxes[b, r + 3, n] = q if q > high else high
+    levels = clusters.levels
+    arity = clusters.arity
+    first = 0
+    many = leaves
+    for level in range(levels.shape[0] - 1):
+        for child in range(many):
+            b = levels[level] + child // arity
+            n = child % arity
+            for row in range(0, boxes.shape[1], 6):
+                for r in range(row, row + 3):
+                    low = boxes[first + child, r, 0]
+                    high = boxes[first + child, r + 3, 0]
+                    for m in range(1, 16):
+                        p = boxes[first + child, r, m]
+                        q = boxes[first + child, r + 3, m]
+                        low = p if p < low else low
+                        high = q if q > high else high
+                    boxes[b, r, n] = low
+                    boxes[b, r + 3, n] = high
+        first = levels[level]
+        many = levels[level + 1] - levels[level]

@@ -1,12 +1,14 @@
 """Pairs of primitives that are near, or may come near within a step: vertex-triangle and edge-edge.
 
-Pairs are "quads" of four vertex ids; kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1). Each vertex and edge is reported by
-its owner face only, so no pair comes twice.
+Candidates are pairs of ids whose boxes overlap (`clusters.primitive_pairs`). Pairs for contact are "quads" of four vertex ids:
+kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
 """
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from clothgym._jit import device, kernel
 from clothgym.kernels.primitives import edge_edge_distance, vertex_triangle_distance
@@ -32,102 +34,144 @@ def _emit(quads, kinds, found, a, b, c, d, kind):
 
 
 @device
-def _vertex_triangle_boxes_apart(x, v, a, b, c, reach):
-    for k in range(3):
-        p = x[v, k]
-        if p < min(x[a, k], x[b, k], x[c, k]) - reach or p > max(x[a, k], x[b, k], x[c, k]) + reach:
-            return True
-    return False
+def _vertex_triangle_apart(x, v, a, b, c, reach):
+    """Whether the plane, or one across the line from the triangle's centre to the vertex, keeps both further apart than `reach`
+    [m], by a safe margin. Spares most pairs their closest points."""
+    ux = x[b, 0] - x[a, 0]
+    uy = x[b, 1] - x[a, 1]
+    uz = x[b, 2] - x[a, 2]
+    wx = x[c, 0] - x[a, 0]
+    wy = x[c, 1] - x[a, 1]
+    wz = x[c, 2] - x[a, 2]
+    px = x[v, 0] - x[a, 0]
+    py = x[v, 1] - x[a, 1]
+    pz = x[v, 2] - x[a, 2]
+    mx = 3.0 * px - ux - wx
+    my = 3.0 * py - uy - wy
+    mz = 3.0 * pz - uz - wz
+    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz) + abs(px) + abs(py) + abs(pz)
+    far = reach * (1.0 + 1e-9) + 1e-12 * size
+    far *= far
+    high = mx * ux + my * uy + mz * uz
+    other = mx * wx + my * wy + mz * wz
+    high = high if high > other else other
+    high = high if high > 0.0 else 0.0
+    gap = mx * px + my * py + mz * pz - high
+    across = (gap > 0.0) & (gap * gap > far * (mx * mx + my * my + mz * mz))
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    gap = nx * px + ny * py + nz * pz
+    nn = nx * nx + ny * ny + nz * nz
+    return across | ((gap * gap > far * nn) & (nn > 1e-12 * size * size * size * size))
 
 
 @device
-def _edge_boxes_apart(x, a0, a1, b0, b1, reach):
-    for k in range(3):
-        if min(x[a0, k], x[a1, k]) - reach > max(x[b0, k], x[b1, k]):
-            return True
-        if min(x[b0, k], x[b1, k]) - reach > max(x[a0, k], x[a1, k]):
-            return True
-    return False
+def _edges_apart(x, a0, a1, b0, b1, reach):
+    """The same for two edges: across the line of their middles, or by the distance of their lines."""
+    ux = x[a1, 0] - x[a0, 0]
+    uy = x[a1, 1] - x[a0, 1]
+    uz = x[a1, 2] - x[a0, 2]
+    wx = x[b1, 0] - x[b0, 0]
+    wy = x[b1, 1] - x[b0, 1]
+    wz = x[b1, 2] - x[b0, 2]
+    px = x[b0, 0] - x[a0, 0]
+    py = x[b0, 1] - x[a0, 1]
+    pz = x[b0, 2] - x[a0, 2]
+    mx = 2.0 * px + wx - ux
+    my = 2.0 * py + wy - uy
+    mz = 2.0 * pz + wz - uz
+    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz) + abs(px) + abs(py) + abs(pz)
+    far = reach * (1.0 + 1e-9) + 1e-12 * size
+    far *= far
+    high = mx * ux + my * uy + mz * uz
+    low = mx * wx + my * wy + mz * wz
+    high = high if high > 0.0 else 0.0
+    low = low if low < 0.0 else 0.0
+    gap = mx * px + my * py + mz * pz + low - high
+    across = (gap > 0.0) & (gap * gap > far * (mx * mx + my * my + mz * mz))
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    gap = nx * px + ny * py + nz * pz
+    nn = nx * nx + ny * ny + nz * nz
+    return across | ((gap * gap > far * nn) & (nn > 1e-12 * size * size * size * size))
 
 
 @device
-def _sweeps_apart_vertex(sweeps, v, a, b, c):
-    for k in range(0, 6, 2):
-        if sweeps[v, k] > max(sweeps[a, k + 1], sweeps[b, k + 1], sweeps[c, k + 1]):
-            return True
-        if sweeps[v, k + 1] < min(sweeps[a, k], sweeps[b, k], sweeps[c, k]):
-            return True
-    return False
-
-
-@device
-def _sweeps_apart_edges(sweeps, a0, a1, b0, b1):
-    for k in range(0, 6, 2):
-        if min(sweeps[a0, k], sweeps[a1, k]) > max(sweeps[b0, k + 1], sweeps[b1, k + 1]):
-            return True
-        if min(sweeps[b0, k], sweeps[b1, k]) > max(sweeps[a0, k + 1], sweeps[a1, k + 1]):
-            return True
-    return False
+def _edge_edge_distance(x, a0, a1, b0, b1):
+    """`primitives.edge_edge_distance` to the last bit, without branches but for edges that are nearly parallel or points."""
+    ux = x[a1, 0] - x[a0, 0]
+    uy = x[a1, 1] - x[a0, 1]
+    uz = x[a1, 2] - x[a0, 2]
+    vx = x[b1, 0] - x[b0, 0]
+    vy = x[b1, 1] - x[b0, 1]
+    vz = x[b1, 2] - x[b0, 2]
+    rx = x[a0, 0] - x[b0, 0]
+    ry = x[a0, 1] - x[b0, 1]
+    rz = x[a0, 2] - x[b0, 2]
+    a = ux * ux + uy * uy + uz * uz
+    e = vx * vx + vy * vy + vz * vz
+    f = vx * rx + vy * ry + vz * rz
+    c = ux * rx + uy * ry + uz * rz
+    b = ux * vx + uy * vy + uz * vz
+    denominator = a * e - b * b
+    if not denominator > 1e-6 * a * e:
+        return edge_edge_distance(x, a0, a1, b0, b1)
+    s = (b * f - c * e) / denominator
+    s = s if s > 0.0 else 0.0
+    s = s if s < 1.0 else 1.0
+    free = (b * s + f) / e
+    t = free if free > 0.0 else 0.0
+    t = t if t < 1.0 else 1.0
+    other = (b * t - c) / a
+    other = other if other > 0.0 else 0.0
+    other = other if other < 1.0 else 1.0
+    s = s if t == free else other
+    dx = x[a0, 0] + s * ux - x[b0, 0] - t * vx
+    dy = x[a0, 1] + s * uy - x[b0, 1] - t * vy
+    dz = x[a0, 2] + s * uz - x[b0, 2] - t * vz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @kernel
-def gather_quads(x, u, surface, thickness, slack, sweeps, pairs, quads, kinds):
+def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds):
     """Pairs of primitives that can come within their thickness while every vertex moves by u, within its slack [m].
 
-    x, u (V, 3): positions and expected displacements; thickness, slack (V,); sweeps (V, 6): each vertex's way as a box, widened
-    by slack and half the thickness; pairs (C, 2) face pairs whose swept, inflated boxes overlap. Each vertex and edge is
-    emitted by its owner face only, so no pair comes twice. Returns the number found; as many as fit are written.
+    x, u (V, 3): positions and expected displacements; thickness, slack (V,); vertex_face (C, 2) and edge_edge (C, 2): pairs of
+    primitives whose swept, inflated boxes overlap. Returns the number found; as many as fit into quads (K, 4) are written.
 
-    The cheap boxes come first; then a pair stays if its distance now is within thickness + relative travel + slack.
+    A pair stays if its distance now is within thickness + relative travel + slack.
     """
-    faces = surface.faces
     found = 0
-    for n in range(pairs.shape[0]):
-        for side in range(2):
-            first = pairs[n, side]
-            second = pairs[n, 1 - side]
-            a = faces[second, 0]
-            b = faces[second, 1]
-            c = faces[second, 2]
-            for k in range(3):
-                v = faces[first, k]
-                if surface.vertex_owner[v] != first or v == a or v == b or v == c:
-                    continue
-                if _sweeps_apart_vertex(sweeps, v, a, b, c):
-                    continue
-                reach = min(thickness[v], thickness[a], thickness[b], thickness[c]) + slack[v]
-                reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
-                if _vertex_triangle_boxes_apart(x, v, a, b, c, reach):
-                    continue
-                if vertex_triangle_distance(x, v, a, b, c) <= reach:
-                    found = _emit(quads, kinds, found, v, a, b, c, 0)
-        first = pairs[n, 0]
-        second = pairs[n, 1]
-        for k in range(3):
-            ea = surface.face_edges[first, k]
-            if surface.edge_owner[ea] != first:
-                continue
-            a0 = surface.edges[ea, 0]
-            a1 = surface.edges[ea, 1]
-            for m in range(3):
-                eb = surface.face_edges[second, m]
-                if surface.edge_owner[eb] != second:
-                    continue
-                b0 = surface.edges[eb, 0]
-                b1 = surface.edges[eb, 1]
-                if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
-                    continue
-                if _sweeps_apart_edges(sweeps, a0, a1, b0, b1):
-                    continue
-                reach = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
-                reach += max(
-                    slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
-                    slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
-                )
-                if _edge_boxes_apart(x, a0, a1, b0, b1, reach):
-                    continue
-                if edge_edge_distance(x, a0, a1, b0, b1) <= reach:
-                    found = _emit(quads, kinds, found, a0, a1, b0, b1, 1)
+    for n in range(vertex_face.shape[0]):
+        v = vertex_face[n, 0]
+        face = vertex_face[n, 1]
+        a = faces[face, 0]
+        b = faces[face, 1]
+        c = faces[face, 2]
+        reach = min(thickness[v], thickness[a], thickness[b], thickness[c]) + slack[v]
+        reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
+        if _vertex_triangle_apart(x, v, a, b, c, reach):
+            continue
+        if vertex_triangle_distance(x, v, a, b, c) <= reach:
+            found = _emit(quads, kinds, found, v, a, b, c, 0)
+    for n in range(edge_edge.shape[0]):
+        e = edge_edge[n, 0]
+        f = edge_edge[n, 1]
+        a0 = edges[e, 0]
+        a1 = edges[e, 1]
+        b0 = edges[f, 0]
+        b1 = edges[f, 1]
+        reach = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
+        reach += max(
+            slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
+            slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
+        )
+        if _edges_apart(x, a0, a1, b0, b1, reach):
+            continue
+        if _edge_edge_distance(x, a0, a1, b0, b1) <= reach:
+            found = _emit(quads, kinds, found, a0, a1, b0, b1, 1)
     return found
 
 
@@ -144,59 +188,127 @@ def largest_deviation(x, start, u, share, slack):
 
 
 @kernel
-def find_proximities(x, surface, distance, pairs, quads, kinds, distances):
-    """Every vertex-triangle and edge-edge pair closer than `distance` [m]; as many as fit are written, all counted."""
-    faces = surface.faces
+def keep_near(x, faces, edges, distance, vertex_face, edge_edge, counts, point_gaps, line_gaps):
+    """Of candidate pairs those closer than `distance` [m], moved to the front with their distances.
+
+    vertex_face (C, 2) vertex and face, edge_edge (C, 2) edge ids, counts (4,) how many there are; afterwards counts[0] and
+    counts[1] say how many stayed.
+
+    First the cheap tests, whose outcome is added instead of branched on: it is as good as random.
+    """
+    left = 0
+    for n in range(counts[0]):
+        v = vertex_face[n, 0]
+        f = vertex_face[n, 1]
+        vertex_face[left, 0] = v
+        vertex_face[left, 1] = f
+        left += not _vertex_triangle_apart(x, v, faces[f, 0], faces[f, 1], faces[f, 2], distance)
+    kept = 0
+    for n in range(left):
+        v = vertex_face[n, 0]
+        f = vertex_face[n, 1]
+        d = vertex_triangle_distance(x, v, faces[f, 0], faces[f, 1], faces[f, 2])
+        vertex_face[kept, 0] = v
+        vertex_face[kept, 1] = f
+        point_gaps[kept] = d
+        kept += d < distance
+    counts[0] = kept
+    left = 0
+    for n in range(counts[1]):
+        e = min(edge_edge[n, 0], edge_edge[n, 1])
+        f = max(edge_edge[n, 0], edge_edge[n, 1])
+        edge_edge[left, 0] = e
+        edge_edge[left, 1] = f
+        left += not _edges_apart(x, edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1], distance)
+    kept = 0
+    for n in range(left):
+        e = edge_edge[n, 0]
+        f = edge_edge[n, 1]
+        d = _edge_edge_distance(x, edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1])
+        edge_edge[kept, 0] = e
+        edge_edge[kept, 1] = f
+        line_gaps[kept] = d
+        kept += d < distance
+    counts[1] = kept
+
+
+@kernel
+def arrange(pairs, gaps, starts, names, rows, distances):
+    """Sorts pairs with their distances by both ids into rows (P, 2) or (P, 4) and distances (P,), and names the ids.
+
+    pairs (C, 2), gaps (C,): the first P count. names: (F, 1) the name of each second id, or (E, 2) names of both ids. One
+    bucket for each first id, then insertion, since a bucket holds few; starts (N + 2,) is scratch, N the number of first ids.
+    """
+    count = rows.shape[0]
+    starts[:] = 0
+    for n in range(count):
+        starts[pairs[n, 0] + 2] += 1
+    for n in range(2, starts.shape[0]):
+        starts[n] += starts[n - 1]
+    for n in range(count):
+        place = starts[pairs[n, 0] + 1]
+        starts[pairs[n, 0] + 1] += 1
+        rows[place, 0] = pairs[n, 0]
+        rows[place, 1] = pairs[n, 1]
+        distances[place] = gaps[n]
+    for n in range(1, count):
+        first = rows[n, 0]
+        second = rows[n, 1]
+        gap = distances[n]
+        place = n
+        while place > 0 and rows[place - 1, 0] == first and rows[place - 1, 1] > second:
+            rows[place, 1] = rows[place - 1, 1]
+            distances[place] = distances[place - 1]
+            place -= 1
+        rows[place, 1] = second
+        distances[place] = gap
+    if names.shape[1] == 1:
+        for n in range(count):
+            rows[n, 1] = names[rows[n, 1], 0]
+    else:
+        for n in range(count):
+            e = rows[n, 0]
+            f = rows[n, 1]
+            rows[n, 0] = names[e, 0]
+            rows[n, 1] = names[e, 1]
+            rows[n, 2] = names[f, 0]
+            rows[n, 3] = names[f, 1]
+
+
+@kernel
+def every_pair(ways, first, second, pairs):
+    """Pairs of primitives without a common vertex whose boxes overlap, tried one by one.
+
+    ways (V, 6): box of each vertex as low, high of each axis; first (N, 1 or 2), second (M, 2 or 3): vertex ids; the same
+    array twice gives each pair once. As many as fit into pairs (C, 2) are written; returns how many there are.
+    """
+    same = first.shape[1] == second.shape[1]
     found = 0
-    for n in range(pairs.shape[0]):
-        for side in range(2):
-            first = pairs[n, side]
-            second = pairs[n, 1 - side]
-            a = faces[second, 0]
-            b = faces[second, 1]
-            c = faces[second, 2]
-            for k in range(3):
-                v = faces[first, k]
-                if surface.vertex_owner[v] != first or v == a or v == b or v == c:
-                    continue
-                if _vertex_triangle_boxes_apart(x, v, a, b, c, distance):
-                    continue
-                d = vertex_triangle_distance(x, v, a, b, c)
-                if d < distance:
-                    if found < quads.shape[0]:
-                        quads[found, 0] = v
-                        quads[found, 1] = second
-                        kinds[found] = 0
-                        distances[found] = d
-                    found += 1
-        first = pairs[n, 0]
-        second = pairs[n, 1]
+    low = np.empty((second.shape[0], 3), np.float64)
+    high = np.empty((second.shape[0], 3), np.float64)
+    for n in range(second.shape[0]):
         for k in range(3):
-            ea = surface.face_edges[first, k]
-            if surface.edge_owner[ea] != first:
-                continue
-            for m in range(3):
-                eb = surface.face_edges[second, m]
-                if surface.edge_owner[eb] != second:
-                    continue
-                e = min(ea, eb)
-                f = max(ea, eb)
-                a0 = surface.edges[e, 0]
-                a1 = surface.edges[e, 1]
-                b0 = surface.edges[f, 0]
-                b1 = surface.edges[f, 1]
-                if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
-                    continue
-                if _edge_boxes_apart(x, a0, a1, b0, b1, distance):
-                    continue
-                d = edge_edge_distance(x, a0, a1, b0, b1)
-                if d < distance:
-                    if found < quads.shape[0]:
-                        quads[found, 0] = a0
-                        quads[found, 1] = a1
-                        quads[found, 2] = b0
-                        quads[found, 3] = b1
-                        kinds[found] = 1
-                        distances[found] = d
-                    found += 1
+            low[n, k] = ways[second[n, 0], 2 * k]
+            high[n, k] = ways[second[n, 0], 2 * k + 1]
+            for corner in range(1, second.shape[1]):
+                low[n, k] = min(low[n, k], ways[second[n, corner], 2 * k])
+                high[n, k] = max(high[n, k], ways[second[n, corner], 2 * k + 1])
+    for n in range(first.shape[0]):
+        v = first[n, 0]
+        w = first[n, first.shape[1] - 1]
+        for m in range(n + 1 if same else 0, second.shape[0]):
+            apart = False
+            for k in range(3):
+                if max(ways[v, 2 * k + 1], ways[w, 2 * k + 1]) < low[m, k]:
+                    apart = True
+                if min(ways[v, 2 * k], ways[w, 2 * k]) > high[m, k]:
+                    apart = True
+            for corner in range(second.shape[1]):
+                if second[m, corner] == v or second[m, corner] == w:
+                    apart = True
+            if not apart:
+                if found < pairs.shape[0]:
+                    pairs[found, 0] = n
+                    pairs[found, 1] = m
+                found += 1
     return found

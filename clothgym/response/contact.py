@@ -7,9 +7,8 @@ import numpy as np
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
-from clothgym.kernels import contact, kdop, proximity
+from clothgym.kernels import contact, proximity
 from clothgym.kernels.contact import Contacts
-from clothgym.mesh import SurfaceArrays
 from clothgym.model import ClothModel
 
 _ERRATIC = 0.5
@@ -23,50 +22,54 @@ _LEEWAY = 1.0
 class Candidates:
     """Pairs of primitives that may touch within a step.
 
-    Every vertex is expected at start + share u with share in [0, 1]. Face pairs come from boxes swept along u and widened
-    by half the thickness and each vertex's slack; as long as no vertex is further than its slack from where it was expected, no
+    Every vertex is expected at start + share u with share in [0, 1]. Boxes are swept along u and widened by half the
+    thickness and each vertex's slack; as long as no vertex is further than its slack from where it was expected, no
     pair is missing.
     """
 
     def __init__(self, model: ClothModel, tree: Hierarchy | BruteForce) -> None:
         self.model, self.tree = model, tree
-        self.surface: SurfaceArrays = model.surface.arrays
         count = len(model.faces)
         self.quads: IntArray = np.zeros((8 * count, 4), np.int32)
         self.kinds = np.zeros(8 * count, np.uint8)
         self.separation: FloatArray = np.zeros((8 * count, 4))
         self.count = 0
+        self.horizon = 1
         self.start: FloatArray = np.zeros((model.vertex_count, 3))
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
-        self.sweeps: FloatArray = np.zeros((model.vertex_count, 6))
-        self.face_pairs: IntArray = np.zeros((0, 2), np.int32)
         self.gathered = 0
 
-    def expect(self, x: FloatArray, travel: FloatArray) -> None:
-        """Face pairs for vertices that leave x along `travel` (V, 3) [m]."""
+    @property
+    def box_pairs(self) -> int:
+        """Pairs of primitives whose boxes overlap."""
+        return int(self.tree.counts[0] + self.tree.counts[1])
+
+    def expect(self, x: FloatArray, travel: FloatArray, horizon: int = 1) -> None:
+        """Pairs of boxes for vertices that leave x along `travel` (V, 3) [m], in `horizon` substeps."""
+        self.horizon = horizon
         self.start[:] = x
         self.travel[:] = travel
         thickness = float(self.model.thickness.max())
         np.sqrt(np.einsum("ij,ij->i", travel, travel), out=self.slack)
         self.slack *= _ERRATIC
         self.slack += _LEEWAY * thickness
-        end, pads = self.start + self.travel, self.slack + 0.5 * thickness
-        kdop.vertex_intervals(self.start, end, kdop.AXES[6], np.ones(3), pads, self.sweeps)
-        self.tree.refit(self.start, end, pads)
-        self.face_pairs = self.tree.self_pairs()
+        self.tree.refit(self.start, self.start + self.travel, self.slack + 0.5 * thickness)
+        self.tree.search(near=True, hits=False)
 
     def gather(self) -> None:
-        """Primitive pairs from the face pairs; buffers grow by counting."""
+        """Primitive pairs from the pairs of boxes; buffers grow by counting."""
+        surface, tree = self.model.surface, self.tree
         while True:
             found = proximity.gather_quads(
                 self.start,
                 self.travel,
-                self.surface,
+                surface.faces,
+                surface.edges,
                 self.model.thickness,
                 self.slack,
-                self.sweeps,
-                self.face_pairs,
+                tree.vertex_face[: tree.counts[0]],
+                tree.edge_edge[: tree.counts[1]],
                 self.quads,
                 self.kinds,
             )

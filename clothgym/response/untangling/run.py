@@ -99,7 +99,7 @@ def untangle(
     best_x, best_pass, done, reason = x.copy(), 0, 0, "budget"
     while True:
         tree.refit(x, x, 0.0)
-        hits = Intersections(x, surface, tree.self_pairs())
+        hits = Intersections(x, surface, edge_face=tree.edges_against_faces())
         lengths.append(hits.length)
         counts.append(hits.hit_count)
         if (hits.hit_count, hits.length) < best:

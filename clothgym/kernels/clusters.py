@@ -1,0 +1,357 @@
+"""Bounding-volume hierarchy of clusters of triangles: its order, and its traversal against itself [Mezger 2003, 4 and 6.2].
+
+A leaf holds 16 faces and the edges and vertices that these own. Boxes are tested 16 at a time, without branches, so a test of
+one box against a block costs hardly more than one against another.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clothgym._jit import device, kernel
+
+LANES = 16
+"""Boxes that are tested together: a loop of 16 becomes vector instructions, one of 8 is unrolled into scalars."""
+
+LEAF = 16
+"""Faces of a leaf, and what fits a block: on a regular sheet they own 8 vertices and 24 edges."""
+
+_DE_BRUIJN = 0x077CB531
+_BIT = np.zeros(32, np.uint8)
+for _bit in range(32):
+    _BIT[((_DE_BRUIJN << _bit) & 0xFFFFFFFF) >> 27] = _bit
+
+
+class Clusters(NamedTuple):
+    """Leaves of 16 faces, what they own, and the boxes of everything, 16 to a block.
+
+    Blocks in order: the faces of each leaf, the edges and the vertices that a leaf owns (as many blocks as they need), then
+    the nodes: of every leaf, of every `arity` leaves, ... up to one block. Lane n of block b on one level of nodes is block
+    arity b + n of the level below, so the tree needs no pointers.
+    """
+
+    boxes: NDArray[np.float32]  # (B, 6 G, 16) G groups of three axes: three lows, three highs; empty lanes: low > high
+    ids: NDArray[np.int32]  # (B, 4, 16) face, edge or vertex id, then its vertex ids (one repeated); -1 = none
+    edge_start: NDArray[np.int32]  # (L + 1,) first edge block of each leaf
+    vertex_start: NDArray[np.int32]  # (L + 1,) first vertex block of each leaf
+    levels: NDArray[np.int32]  # (N + 1,) first node block of each level, leaves first
+    arity: int  # children of a node: 2, 4, 8 or 16
+
+
+@device
+def _select(order, first, last, place, keys):
+    """Reorders order[first:last] so that all before `place` have keys no larger than those from there on (Hoare)."""
+    low = first
+    high = last - 1
+    while low < high:
+        pivot = keys[order[(low + high) // 2]]
+        i = low
+        j = high
+        while i <= j:
+            while keys[order[i]] < pivot:
+                i += 1
+            while keys[order[j]] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if place <= j:
+            high = j
+        elif place >= i:
+            low = i
+        else:
+            return
+
+
+@kernel
+def cluster_order(projections, order):
+    """Orders faces so that every leaf of them in a row lies together, and every two leaves, and every four, ...
+
+    projections (A, F): of the centroids on axes of unit length, order (F,). Halves along the longest side, always at a power
+    of two times the leaf: all leaves but the last are full, and subtrees of every arity begin where blocks of nodes begin.
+    """
+    count = order.shape[0]
+    for f in range(count):
+        order[f] = f
+    stack = np.empty((64, 2), np.int64)
+    stack[0, 0] = 0
+    stack[0, 1] = count
+    top = 1
+    while top > 0:
+        top -= 1
+        first = stack[top, 0]
+        last = stack[top, 1]
+        if last - first <= LEAF:
+            continue
+        half = LEAF
+        while 2 * half < last - first:
+            half *= 2
+        axis = 0
+        best = -1.0
+        for a in range(projections.shape[0]):
+            low = projections[a, order[first]]
+            high = low
+            for n in range(first + 1, last):
+                p = projections[a, order[n]]
+                low = min(low, p)
+                high = max(high, p)
+            if high - low > best:
+                best = high - low
+                axis = a
+        _select(order, first, last, first + half, projections[axis])
+        stack[top, 0] = first
+        stack[top, 1] = first + half
+        stack[top + 1, 0] = first + half
+        stack[top + 1, 1] = last
+        top += 2
+
+
+@device
+def _lowest(mask):
+    """Position of the lowest set bit of a mask of up to 32 bits."""
+    low = mask & (~mask + np.uint64(1))
+    return np.int64(_BIT[((low * np.uint64(_DE_BRUIJN)) >> np.uint64(27)) & np.uint64(31)])
+
+
+@device
+def _lanes(boxes, b, row, x0, y0, z0, x1, y1, z1):
+    """Bit mask of the boxes of block b that overlap the given one on the three axes from `row` on."""
+    mask = np.uint64(0)
+    for n in range(LANES):
+        p = x1 - boxes[b, row, n]
+        q = y1 - boxes[b, row + 1, n]
+        r = z1 - boxes[b, row + 2, n]
+        s = boxes[b, row + 3, n] - x0
+        t = boxes[b, row + 4, n] - y0
+        u = boxes[b, row + 5, n] - z0
+        p = p if p < q else q
+        r = r if r < s else s
+        t = t if t < u else u
+        p = p if p < r else r
+        p = p if p < t else t
+        mask |= np.uint64(p >= np.float32(0.0)) << np.uint64(n)
+    return mask
+
+
+@device
+def _other_axes(boxes, b, box, lane, mask):
+    """What is left of a mask of block b after the axes behind the first three."""
+    for row in range(6, boxes.shape[1], 6):
+        if mask == 0:
+            break
+        mask &= _lanes(
+            boxes, b, row, boxes[box, row, lane], boxes[box, row + 1, lane], boxes[box, row + 2, lane],
+            boxes[box, row + 3, lane], boxes[box, row + 4, lane], boxes[box, row + 5, lane],
+        )  # fmt: skip
+    return mask
+
+
+@device
+def _lanes_of_strangers(boxes, ids, b, v, w, x0, y0, z0, x1, y1, z1):
+    """`_lanes` of the first three axes, for primitives that have neither vertex v nor w.
+
+    In one loop with the boxes: alone, the comparison of ids is small enough to be unrolled into scalars.
+    """
+    mask = np.uint64(0)
+    for n in range(LANES):
+        p = x1 - boxes[b, 0, n]
+        q = y1 - boxes[b, 1, n]
+        r = z1 - boxes[b, 2, n]
+        s = boxes[b, 3, n] - x0
+        t = boxes[b, 4, n] - y0
+        u = boxes[b, 5, n] - z0
+        p = p if p < q else q
+        r = r if r < s else s
+        t = t if t < u else u
+        p = p if p < r else r
+        p = p if p < t else t
+        i = ids[b, 1, n]
+        j = ids[b, 2, n]
+        k = ids[b, 3, n]
+        strange = (i != v) & (j != v) & (k != v) & (i != w) & (j != w) & (k != w)
+        mask |= np.uint64((p >= np.float32(0.0)) & strange) << np.uint64(n)
+    return mask
+
+
+@device
+def _cross(clusters, first, stop, block, stop_block, same, related, box, lane, pairs, found):
+    """Pairs of primitives in blocks first .. stop whose box reaches a leaf's, with those in block .. stop_block.
+
+    same: both are the same blocks, so that each pair comes once; related: also pairs with a common vertex. Returns how many
+    pairs there are now, and how many blocks were tested.
+    """
+    boxes = clusters.boxes
+    ids = clusters.ids
+    more = boxes.shape[1] > 6
+    tests = np.int64(0)
+    lx0, ly0, lz0 = boxes[box, 0, lane], boxes[box, 1, lane], boxes[box, 2, lane]
+    lx1, ly1, lz1 = boxes[box, 3, lane], boxes[box, 4, lane], boxes[box, 5, lane]
+    for b in range(first, stop):
+        mask = _lanes(boxes, b, 0, lx0, ly0, lz0, lx1, ly1, lz1)
+        if more and mask != 0:
+            mask = _other_axes(boxes, b, box, lane, mask)
+        tests += 1
+        while mask != 0:
+            n = _lowest(mask)
+            mask &= mask - np.uint64(1)
+            v = np.int32(-2) if related else ids[b, 1, n]
+            w = np.int32(-2) if related else ids[b, 2, n]
+            x0, y0, z0 = boxes[b, 0, n], boxes[b, 1, n], boxes[b, 2, n]
+            x1, y1, z1 = boxes[b, 3, n], boxes[b, 4, n], boxes[b, 5, n]
+            for c in range(b if same else block, stop_block):
+                near = _lanes_of_strangers(boxes, ids, c, v, w, x0, y0, z0, x1, y1, z1)
+                if more and near != 0:
+                    near = _other_axes(boxes, c, b, n, near)
+                tests += 1
+                if same and c == b:
+                    near &= ~np.uint64((2 << n) - 1)
+                while near != 0:
+                    m = _lowest(near)
+                    near &= near - np.uint64(1)
+                    if found < pairs.shape[0]:
+                        pairs[found, 0] = ids[b, 0, n]
+                        pairs[found, 1] = ids[c, 0, m]
+                    found += 1
+    return np.int64(found), tests
+
+
+@device
+def _leaves_near(clusters, i, stack, leaves):
+    """Leaves from i on whose boxes overlap that of leaf i; returns how many, and how many blocks were tested."""
+    boxes = clusters.boxes
+    levels = clusters.levels
+    arity = clusters.arity
+    shift = 1 if arity == 2 else (2 if arity == 4 else (3 if arity == 8 else 4))
+    box = levels[0] + i // arity
+    lane = i % arity
+    found = np.int64(0)
+    tests = np.int64(0)
+    more = boxes.shape[1] > 6
+    x0, y0, z0 = boxes[box, 0, lane], boxes[box, 1, lane], boxes[box, 2, lane]
+    x1, y1, z1 = boxes[box, 3, lane], boxes[box, 4, lane], boxes[box, 5, lane]
+    stack[0, 0] = levels.shape[0] - 2
+    stack[0, 1] = 0
+    top = 1
+    while top > 0:
+        top -= 1
+        level = stack[top, 0]
+        block = stack[top, 1]
+        mask = _lanes(boxes, levels[level] + block, 0, x0, y0, z0, x1, y1, z1)
+        if more and mask != 0:
+            mask = _other_axes(boxes, levels[level] + block, box, lane, mask)
+        tests += 1
+        # only leaves from i on: the others have looked this way before
+        own = (i >> (shift * level)) - arity * block
+        if own > 0:
+            mask &= ~np.uint64((1 << min(own, 62)) - 1)
+        while mask != 0:
+            child = arity * block + _lowest(mask)
+            mask &= mask - np.uint64(1)
+            if level > 0:
+                stack[top, 0] = level - 1
+                stack[top, 1] = child
+                top += 1
+            else:
+                leaves[found] = child
+                found += 1
+    return found, tests
+
+
+@kernel
+def primitive_pairs(clusters, near, hits, counts, stack, leaves, vertex_face, edge_edge, edge_face):
+    """Pairs of primitives without a common vertex whose boxes overlap, each once [Mezger 2003, 6.2].
+
+    near: list vertex-face (C, 2) and edge-edge pairs (C, 2); hits: list edge-face pairs (C, 2); what is not asked for stays
+    as it is. As many as fit are written; counts (4,) receives how many there are of each kind, and the number of tests of a
+    box against a block. stack (S, 2) and leaves (L,) are scratch: S = arity times levels is enough.
+    """
+    edge_start = clusters.edge_start
+    vertex_start = clusters.vertex_start
+    arity = clusters.arity
+    points = np.int64(0)
+    lines = np.int64(0)
+    crossings = np.int64(0)
+    work = np.int64(0)
+    for i in range(edge_start.shape[0] - 1):
+        beside, tests = _leaves_near(clusters, i, stack, leaves)
+        work += tests
+        for other in range(beside):
+            j = leaves[other]
+            box_i = clusters.levels[0] + i // arity
+            box_j = clusters.levels[0] + j // arity
+            if near:
+                lines, tests = _cross(
+                    clusters, edge_start[i], edge_start[i + 1], edge_start[j], edge_start[j + 1], i == j, False,
+                    box_j, j % arity, edge_edge, lines,
+                )  # fmt: skip
+                work += tests
+            for side in range(1 if i == j else 2):
+                a = i if side == 0 else j
+                b = j if side == 0 else i
+                box = box_j if side == 0 else box_i
+                if near:
+                    points, tests = _cross(
+                        clusters,
+                        vertex_start[a],
+                        vertex_start[a + 1],
+                        b,
+                        b + 1,
+                        False,
+                        False,
+                        box,
+                        b % arity,
+                        vertex_face,
+                        points,
+                    )
+                    work += tests
+                if hits:
+                    crossings, tests = _cross(
+                        clusters,
+                        edge_start[a],
+                        edge_start[a + 1],
+                        b,
+                        b + 1,
+                        False,
+                        False,
+                        box,
+                        b % arity,
+                        edge_face,
+                        crossings,
+                    )
+                    work += tests
+    if near:
+        counts[0] = points
+        counts[1] = lines
+    if hits:
+        counts[2] = crossings
+    counts[3] = work
+
+
+@kernel
+def face_pairs(clusters, stack, leaves, pairs):
+    """Pairs of faces a < b whose boxes overlap, shared vertices or not; as many as fit into pairs (C, 2) are written.
+
+    Returns how many there are, and the number of tests of a box against a block.
+    """
+    arity = clusters.arity
+    found = np.int64(0)
+    work = np.int64(0)
+    for i in range(clusters.edge_start.shape[0] - 1):
+        beside, tests = _leaves_near(clusters, i, stack, leaves)
+        work += tests
+        for other in range(beside):
+            j = leaves[other]
+            found, tests = _cross(
+                clusters, i, i + 1, j, j + 1, i == j, True, clusters.levels[0] + j // arity, j % arity, pairs, found
+            )
+            work += tests
+    for n in range(min(found, pairs.shape[0])):
+        a = pairs[n, 0]
+        b = pairs[n, 1]
+        pairs[n, 0] = min(a, b)
+        pairs[n, 1] = max(a, b)
+    return found, work

@@ -66,12 +66,18 @@ def compile_kernels() -> dict[str, Any]:
 
 def _geometry() -> None:
     import clothgym as cg
+    from clothgym.detection.hierarchy import Hierarchy
+    from clothgym.detection.intersections import Intersections
 
     vertices, faces = _crossing_sheets()
     hits = cg.intersections(vertices, faces)
     hits.gradient()
     _ = hits.contours, hits.points, hits.pairs
     cg.proximities(vertices, faces, 0.05)
+    surface = cg.Surface(faces)
+    tree = Hierarchy(surface, vertices)
+    tree.refit(vertices, vertices, 0.0)
+    Intersections(vertices, surface, tree.self_pairs())
     for strategy in ("local", "global", "hybrid"):
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from clothgym import rig
 from clothgym.arrays import BoolArray, FloatArray, IntArray, as_faces, as_points, check_choice, check_number, read_only
-from clothgym.mesh import Mesh, Surface, face_areas
+from clothgym.mesh import Mesh, Surface, copied, face_areas
 from clothgym.rig import Limb
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -67,16 +67,7 @@ class Body:
                 )
             limbs = limbs or rig.load(given).limbs()
             given = rig.load(given)
-        if hasattr(given, "vertices") and hasattr(given, "faces"):
-            vertices, faces = given.vertices, given.faces
-        elif isinstance(given, tuple | list) and len(given) == 2:
-            vertices, faces = given
-        else:
-            raise ValueError(
-                f"{label}: mesh: expected a Mesh, a trimesh, (vertices, faces) or a name, got {type(given).__name__}"
-            )
-        points = as_points(vertices, f"{label}: vertices").copy()
-        triangles = as_faces(faces, len(points), f"{label}: faces").copy()
+        points, triangles = copied(given, label)
         if len(triangles) < 4:
             raise ValueError(f"{label}: faces: {len(triangles)} given; a body needs at least four triangles")
         check_number(self.friction, f"{label}: friction", 0.0, 10.0)

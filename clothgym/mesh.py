@@ -145,6 +145,22 @@ class Mesh:
         return Mesh(turned + np.asarray(translation, float), self.faces, self.quads)
 
 
+def copied(given: Any, where: str) -> tuple[FloatArray, IntArray]:
+    """Own copies of the vertices (V, 3) and faces (F, 3) of a Mesh, a trimesh or a pair (vertices, faces).
+
+    Raises:
+        ValueError: none of these, wrong shapes, ids out of range or numbers that are not finite; begins with `where`.
+    """
+    if hasattr(given, "vertices") and hasattr(given, "faces"):
+        vertices, faces = given.vertices, given.faces
+    elif isinstance(given, tuple | list) and len(given) == 2:
+        vertices, faces = given
+    else:
+        raise ValueError(f"{where}: mesh: expected a Mesh, a trimesh or (vertices, faces), got {given!r:.80}")
+    points = as_points(vertices, f"{where}: vertices").copy()
+    return points, as_faces(faces, len(points), f"{where}: faces").copy()
+
+
 def grid(width: float, height: float, columns: int, rows: int) -> Mesh:
     """A rectangle in the x-z plane around the origin with `columns` x `rows` quads, each cut into two triangles.
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from clothgym import materials
-from clothgym.arrays import FloatArray, as_faces, as_points, check_number
+from clothgym.arrays import FloatArray, as_points, check_number
 from clothgym.body import Body
 from clothgym.materials import Material
-from clothgym.mesh import Mesh
+from clothgym.mesh import Mesh, copied
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,22 +46,12 @@ class Cloth:
     def __post_init__(self) -> None:
         given = self.mesh
         quads = getattr(given, "quads", None) if isinstance(given, Mesh) else None
-        if hasattr(given, "vertices") and hasattr(given, "faces"):
-            vertices, faces = given.vertices, given.faces
-        elif isinstance(given, tuple | list) and len(given) == 2:
-            vertices, faces = given
-        else:
-            raise ValueError(
-                f"cloth {self.name!r}: mesh: expected a Mesh, a trimesh or (vertices, faces), got {given!r}"
-            )
-        points = as_points(vertices, f"cloth {self.name!r}: vertices").copy()
-        triangles = as_faces(faces, len(points), f"cloth {self.name!r}: faces").copy()
+        points, triangles = copied(given, f"cloth {self.name!r}")
         if len(triangles) == 0:
             raise ValueError(f"cloth {self.name!r}: faces: a cloth needs at least one triangle")
-        object.__setattr__(self, "mesh", Mesh(points, triangles, quads))
         if quads is not None and self.rest is not None and np.ndim(self.rest) == 3:
             quads = None  # pairs across a quad need a place per vertex
-            object.__setattr__(self, "mesh", Mesh(points, triangles))
+        object.__setattr__(self, "mesh", Mesh(points, triangles, quads))
         object.__setattr__(self, "rest", _rest(self.rest, points, len(triangles), self.name))
         object.__setattr__(self, "material", materials.get(self.material))
         object.__setattr__(self, "pins", _pins(self.pins, len(points), self.name))

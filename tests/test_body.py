@@ -61,7 +61,7 @@ def test_bad_arrays_are_named() -> None:
         ((x, faces[:3]), "body 'b': faces: 3 given; a body needs at least four"),
         ((x * (1.0, 0.0, 0.0), faces), "body 'b': faces: all 320 triangles have no area"),
         ("man.obj", "body 'b': mesh = 'man.obj': expected one of female, male"),
-        (7, "body 'b': mesh: expected a Mesh.*got int"),
+        (7, "body 'b': mesh: expected a Mesh.*got 7"),
     ):
         with pytest.raises(ValueError, match=message):
             Body(mesh, name="b")

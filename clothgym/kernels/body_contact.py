@@ -23,6 +23,9 @@ from clothgym.kernels.integrate import (
 )
 from clothgym.kernels.springs import project_springs
 
+_LEEWAY = 4e-3
+"""[m] faces whose points are further from the body than this when a substep begins are left alone in its sweeps."""
+
 
 class BodyContact(NamedTuple):
     """The body as the sweeps see it, and what they keep about each vertex during a substep."""
@@ -36,6 +39,7 @@ class BodyContact(NamedTuple):
     rebound: float  # C_refl of eq. 12
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
+    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body in this substep, and which
     side: NDArray  # (V,) int8 side of the body at the start of the substep
     normal: NDArray  # (V, 3) normal of the last contact
     pressed: NDArray  # (V,) sum of corrections along the normal [m], 0 = no contact
@@ -56,6 +60,28 @@ def begin_contact(x, p, contact):
             contact.moved[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
         contact.side[i] = side_of(x[i, 0], x[i, 1], x[i, 2], contact.map)
+    _find_near_faces(p, contact)
+
+
+@device
+def _find_near_faces(p, contact):
+    """Faces with a point near the body on the way to p: most of a garment hangs free, and its sweeps need not look."""
+    points = contact.face_points
+    count = 0
+    for f in range(contact.faces.shape[0] if points.shape[0] > 0 else 0):
+        a = contact.faces[f, 0]
+        b = contact.faces[f, 1]
+        c = contact.faces[f, 2]
+        for n in range(points.shape[0]):
+            x = points[n, 0] * p[a, 0] + points[n, 1] * p[b, 0] + points[n, 2] * p[c, 0]
+            y = points[n, 0] * p[a, 1] + points[n, 1] * p[b, 1] + points[n, 2] * p[c, 1]
+            z = points[n, 0] * p[a, 2] + points[n, 1] * p[b, 2] + points[n, 2] * p[c, 2]
+            texel, _, _ = find_plane(x, y, z, -1, contact.map, contact.face_tolerance + _LEEWAY)
+            if texel >= 0:
+                count += 1
+                contact.near_faces[count] = f
+                break
+    contact.near_faces[0] = count
 
 
 @device
@@ -110,7 +136,8 @@ def _test_faces(p, inverse_masses, contact):
     pushes[:] = 0.0
     found = False
     points = contact.face_points
-    for f in range(contact.faces.shape[0]):
+    for near in range(1, contact.near_faces[0] + 1):
+        f = contact.near_faces[near]
         a = contact.faces[f, 0]
         b = contact.faces[f, 1]
         c = contact.faces[f, 2]

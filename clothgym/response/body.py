@@ -52,6 +52,7 @@ def body_contact(
         rebound=float(answer.get("rebound", 0.0)),
         faces=np.ascontiguousarray(faces, np.int32),
         face_points=face_points(face_parts),
+        near_faces=np.zeros(1 + len(faces), np.int32),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),

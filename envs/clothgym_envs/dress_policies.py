@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from clothgym.arrays import FloatArray
 _SPEED, _PERIOD = 0.25, 0.05
 
 
-class Dresser:
+class Dresser(ABC):
     """Moves the gripper so that the leading opening's centroid goes where a subclass wants it."""
 
     goal_depth = 1.05
@@ -25,9 +26,9 @@ class Dresser:
         wanted = self.wanted(info) / (_SPEED * _PERIOD)
         return (wanted / max(1.0, float(np.abs(wanted).max()))).astype(np.float32)
 
+    @abstractmethod
     def wanted(self, info: dict[str, Any]) -> FloatArray:
         """(3,) way of the opening's centroid in this step [m]; faster than possible is slowed down, not turned."""
-        raise NotImplementedError
 
     @property
     def goal(self) -> FloatArray:

@@ -422,12 +422,16 @@ def _extreme(
     return float(heights[chosen]), float(girths[chosen])
 
 
-def _top_above(vertices: FloatArray, faces: IntArray, point: FloatArray) -> float:
-    """Height of the highest place of a surface on the vertical line through a point; the point's own if there is none."""
-    a, b, c = (vertices[faces[:, n]][:, [0, 2]] - point[[0, 2]] for n in range(3))
+def heights_above(vertices: FloatArray, faces: IntArray, x: float, z: float) -> FloatArray:
+    """(N,) heights [m] at which the vertical line through (x, z) meets a surface, sorted."""
+    a, b, c = (vertices[faces[:, n]][:, [0, 2]] - (x, z) for n in range(3))
     weights = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))], axis=1)
     total = weights.sum(axis=1)
     hit = ((weights >= 0).all(axis=1) | (weights <= 0).all(axis=1)) & (total != 0.0)
-    if not hit.any():
-        return float(point[1])
-    return float(((weights[hit] / total[hit, None]) * vertices[faces[hit], 1]).sum(axis=1).max())
+    return np.sort(((weights[hit] / total[hit, None]) * vertices[faces[hit], 1]).sum(axis=1))
+
+
+def _top_above(vertices: FloatArray, faces: IntArray, point: FloatArray) -> float:
+    """Height of the highest place of a surface on the vertical line through a point; the point's own if there is none."""
+    heights = heights_above(vertices, faces, point[0], point[2])
+    return float(heights[-1]) if len(heights) else float(point[1])

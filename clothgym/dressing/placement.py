@@ -17,7 +17,7 @@ from clothgym.detection.body_mesh import BodyMesh
 from clothgym.dressing.sewing import opening_lengths
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
-from clothgym.rig import girth, section_hull
+from clothgym.rig import girth, heights_above, section_hull
 
 _SHOULDER_CLEARANCE = 0.02
 """[m] shoulder seams stand this far above the shoulders: lower, they start inside the body."""
@@ -94,16 +94,6 @@ def shoulder_vertices(garment: Garment) -> np.ndarray:
     return np.array(found, np.int64)
 
 
-def _columns(body: Body, x: float, z: float) -> FloatArray:
-    """Heights (n,) [m] at which the vertical line through (x, z) meets the body, sorted."""
-    v, f = body.mesh.vertices, body.mesh.faces
-    a, b, c = (v[f[:, n]][:, [0, 2]] - (x, z) for n in range(3))
-    weights = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))], axis=1)
-    total = weights.sum(axis=1)
-    hit = ((weights >= 0).all(axis=1) | (weights <= 0).all(axis=1)) & (total != 0.0)
-    return np.sort(((weights[hit] / total[hit, None]) * v[f[hit], 1]).sum(axis=1))
-
-
 def _to_shoulders(garment: Garment, shoulders: np.ndarray, body: Body) -> FloatArray:
     """Sideways to the middle of the body, to the ridge of its shoulders, and up to the clearance above them."""
     points = garment.vertices[shoulders]
@@ -116,7 +106,7 @@ def _to_shoulders(garment: Garment, shoulders: np.ndarray, body: Body) -> FloatA
     tops = np.full((len(points), len(depths)), -np.inf)
     for n, point in enumerate(points):
         for m, z in enumerate(depths):
-            heights = _columns(body, point[0] - centre + middle, float(z))
+            heights = heights_above(v, body.mesh.faces, point[0] - centre + middle, float(z))
             if len(heights):
                 tops[n, m] = heights[-1]
     on_body = np.isfinite(tops.max(axis=1))

@@ -7,7 +7,9 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from clothgym.arrays import check_choice, check_number
+import numpy as np
+
+from clothgym.arrays import check_choice, check_number, shown
 
 INTEGRATORS = ("xpbd", "symplectic_euler")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
@@ -105,13 +107,12 @@ class Fidelity:
             # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
             object.__setattr__(self, field, check_number(getattr(self, field), f"fidelity.{field}", low, high, integer))
         for field, choices in (("k", DOPS), ("arity", ARITIES)):
-            if getattr(self, field) not in choices:
-                raise ValueError(
-                    f"fidelity.{field} = {getattr(self, field)!r}: expected one of {', '.join(map(str, choices))}"
-                )
+            value = getattr(self, field)
+            if not isinstance(value, int | float | np.number) or isinstance(value, bool) or value not in choices:
+                raise ValueError(f"fidelity.{field} = {shown(value)}: expected one of {', '.join(map(str, choices))}")
             object.__setattr__(self, field, int(getattr(self, field)))
         if not isinstance(self.untangling, str) or not self.untangling:
-            raise ValueError(f"fidelity.untangling = {self.untangling!r}: expected the name of a strategy")
+            raise ValueError(f"fidelity.untangling = {shown(self.untangling)}: expected the name of a strategy")
         if self.velocity_modification != "none" and self.integrator != "symplectic_euler":
             raise ValueError(
                 f"fidelity.velocity_modification = {self.velocity_modification!r}: works with integrator "
@@ -125,8 +126,8 @@ class Fidelity:
         Raises:
             ValueError: another name.
         """
-        if name not in PRESETS:
-            raise ValueError(f"fidelity = {name!r}: expected one of {', '.join(PRESETS)}, or a Fidelity")
+        if not isinstance(name, str) or name not in PRESETS:
+            raise ValueError(f"fidelity = {shown(name)}: expected one of {', '.join(PRESETS)}, or a Fidelity")
         return PRESETS[name]
 
     def to_json(self) -> str:

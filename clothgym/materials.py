@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from clothgym.arrays import check_number
+from clothgym.arrays import check_number, shown
 
 _RANGES = {
     "density": (1e-6, 1e3),
@@ -17,6 +17,9 @@ _RANGES = {
     "friction": (0.0, 10.0),
     "thickness": (1e-7, 1.0),
 }
+_NONE_OR_MORE = ("shear", "flexion")
+LEAST_STIFFNESS = 1e-12
+"""[N/m] of a spring; the compliance 1 / (k dt^2) of a subnormal stiffness is infinite, and infinity times 0 is no number."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,11 @@ class Material:
 
     def __post_init__(self) -> None:
         for field, (low, high) in _RANGES.items():
-            check_number(getattr(self, field), f"material.{field}", low, high)
+            value = check_number(getattr(self, field), f"material.{field}", low, high)
+            if field in _NONE_OR_MORE and 0.0 < value < LEAST_STIFFNESS:
+                raise ValueError(f"material.{field} = {value:g}: expected 0, or from {LEAST_STIFFNESS:g} to {high:g}")
+            # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
+            object.__setattr__(self, field, value)
 
     def to_json(self) -> dict[str, float]:
         """Plain values, see `from_json`."""
@@ -74,6 +81,6 @@ def get(material: str | Material) -> Material:
     """
     if isinstance(material, Material):
         return material
-    if material not in MATERIALS:
-        raise ValueError(f"material = {material!r}: expected one of {', '.join(MATERIALS)} or a Material")
+    if not isinstance(material, str) or material not in MATERIALS:
+        raise ValueError(f"material = {shown(material)}: expected one of {', '.join(MATERIALS)} or a Material")
     return MATERIALS[material]

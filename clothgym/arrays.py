@@ -27,7 +27,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _as_floats(values: Any, name: str) -> FloatArray:
+def as_floats(values: Any, name: str) -> FloatArray:
     """Real numbers as float64, C-contiguous; text, complex numbers, None and ragged lists are refused."""
     try:
         raw = np.asarray(values)
@@ -46,7 +46,7 @@ def as_points(values: ArrayLike, name: str = "vertices", count: int | None = Non
     Raises:
         ValueError: no numbers, wrong shape, or the first entry that is not finite or beyond +-limit, by index.
     """
-    points = _as_floats(values, name)
+    points = as_floats(values, name)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape (N, 3), got {points.shape}")
     if count is not None and len(points) != count:
@@ -63,12 +63,32 @@ def as_points(values: ArrayLike, name: str = "vertices", count: int | None = Non
 
 def as_vector(values: ArrayLike, name: str, limit: float = np.inf) -> FloatArray:
     """Three finite numbers within +-limit, (3,) float64; refuses the rest as `as_points` does."""
-    vector = _as_floats(values, name)
-    if vector.shape not in ((3,), (1, 3)) or not np.isfinite(vector).all():
+    vector = as_floats(values, name)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"{name} = {shown(values)}: expected three finite numbers")
     if (np.abs(vector) > limit).any():
         raise ValueError(f"{name} = {shown(values)}: out of range [{-limit:g}, {limit:g}]")
-    return vector.reshape(3)
+    return vector
+
+
+def as_ids(values: ArrayLike, name: str, count: int) -> IntArray:
+    """Vertex ids below `count` as (N,) int32.
+
+    Raises:
+        ValueError: no integers, or the first id out of range, by index.
+    """
+    try:
+        raw = np.atleast_1d(np.asarray(values))
+    except ValueError:  # ragged
+        raw = np.empty(1, object)
+    if raw.size == 0:
+        return np.zeros(0, np.int32)
+    if raw.ndim != 1 or raw.dtype.kind not in "iu":
+        raise ValueError(f"{name} = {shown(values)}: expected a list of vertex ids")
+    wrong = np.flatnonzero((raw < 0) | (raw >= count))
+    if len(wrong):
+        raise ValueError(f"{name}[{wrong[0]}] is {raw[wrong[0]]}: ids must be below {count}")
+    return np.ascontiguousarray(raw, np.int32)
 
 
 def as_faces(values: ArrayLike, vertex_count: int | None = None, name: str = "faces") -> IntArray:
@@ -100,12 +120,11 @@ def check_number(value: Any, name: str, low: float, high: float, integer: bool =
     """
     kind = "an integer" if integer else "a number"
     is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not is_number or value != value:
+    whole = not integer or not isinstance(value, float | np.floating) or float(value).is_integer()
+    if not is_number or not whole:
         raise ValueError(f"{name} = {shown(value)}: expected {kind} in [{low:g}, {high:g}]")
     if not low <= value <= high:
         raise ValueError(f"{name} = {shown(value)}: out of range [{low:g}, {high:g}]")
-    if integer and int(value) != value:
-        raise ValueError(f"{name} = {shown(value)}: expected {kind} in [{low:g}, {high:g}]")
     return int(value) if integer else float(value)
 
 

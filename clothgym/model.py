@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from clothgym import materials
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import FARTHEST, LEAST_EDGE, FloatArray, IntArray
 from clothgym.kernels.springs import ClothArrays
 from clothgym.mesh import Surface
 from clothgym.rest import RestShape
@@ -50,7 +50,7 @@ class ClothModel:
             mass = np.maximum(mass, 1e-6 * mass.max())
             surface = Surface(cloth.mesh.faces, count)
             spring_ends, spring_rest, spring_stiffness, spring_kinds = _springs(cloth, rest_shape, surface)
-            edge_rest.append(rest_shape.edge_lengths(surface))
+            edge_rest.append(_proper_lengths(rest_shape.edge_lengths(surface), cloth.name))
             vertex_areas.append(areas)
             faces.append(cloth.mesh.faces + offset)
             masses.append(mass)
@@ -106,6 +106,18 @@ class ClothModel:
         return (-c + math.sqrt(c * c + 4.0 * square)) / square
 
 
+def _proper_lengths(lengths: FloatArray, name: str) -> FloatArray:
+    """Rest lengths (E,) [m], 0 where vertices all but coincide: a strain by so small a length says nothing.
+
+    Raises:
+        ValueError: the cloth is smaller than numbers can tell.
+    """
+    mean = float(lengths.mean())
+    if not mean >= LEAST_EDGE:
+        raise ValueError(f"cloth {name!r}: rest: mean edge = {mean:g} m: out of range [{LEAST_EDGE:g}, {FARTHEST:g}]")
+    return np.where(lengths > LEAST_EDGE * mean, lengths, 0.0)
+
+
 def _springs(
     cloth: Cloth, rest_shape: RestShape, surface: Surface
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
@@ -126,11 +138,12 @@ def _springs(
         ]
     constants = {STRUCTURAL: material.stretch, SHEAR: material.shear, FLEXION: material.flexion}
     ends, rests, stiffness, kinds = [], [], [], []
+    least = LEAST_EDGE * float(rest_shape.edge_lengths(surface).mean())
     for kind, pairs, rest in groups:
         k = constants[kind]
         if k == 0.0 or len(pairs) == 0:
             continue
-        proper = rest > 0.0
+        proper = rest > least
         ends.append(pairs[proper])
         rests.append(rest[proper])
         stiffness.append(np.full(int(proper.sum()), float(k)))

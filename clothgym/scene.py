@@ -216,6 +216,11 @@ class Scene:
         return hash(self.digest)
 
     @property
+    def calm(self) -> bool:
+        """Whether no wind blows."""
+        return self.wind_drag == 0.0 or not any(self.wind)
+
+    @property
     def start(self) -> FloatArray:
         """(V, 3) where all cloths start, one after the other [m]."""
         return np.concatenate([cloth.mesh.vertices for cloth in self.cloths])

@@ -20,8 +20,11 @@ CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
 
+MOST_SUBSTEPS = 100_000
+"""Substeps of a step, asked for or chosen."""
+
 _RANGES = {
-    "substeps": (0, 100_000, True),
+    "substeps": (0, MOST_SUBSTEPS, True),
     "sweeps": (1, 10_000, True),
     "stretch_limit": (0.0, 10.0, False),
     "repair_rounds": (0, 1000, True),

@@ -61,7 +61,7 @@ class ClothState:
             ("held_offsets", held),
         ):
             as_points(getattr(self, field), f"snapshot: {field}", count)
-        check_number(self.time, "snapshot: time", 0.0, np.inf)
+        check_number(self.time, "snapshot: time", 0.0, 1e12)
         as_ids(self.held_vertices, "snapshot: held_vertices", vertices)
         if len(as_ids(self.held_by, "snapshot: held_by", grips)) != held:
             raise ValueError(f"snapshot: held_by: expected {held} entries, got {len(self.held_by)}")

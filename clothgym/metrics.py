@@ -79,11 +79,12 @@ def flags(model: ClothModel, x: FloatArray, v: FloatArray, dt: float) -> tuple[s
     return tuple(found)
 
 
-def work_flags(model: ClothModel, work: Mapping[str, int], substeps: int) -> tuple[str, ...]:
-    """What contact could not do properly, from the counters since reset.
+def work_flags(model: ClothModel, work: Mapping[str, int], substeps: int, clamped: int = 0) -> tuple[str, ...]:
+    """What contact could not do properly, from the counters since reset and of the last step.
 
     zones: vertices moved as rigid zones because their pairs could not be kept apart one by one, counted in substeps;
-    unproved: substeps after which it is not proved that no pair went through another.
+    unproved: substeps after which it is not proved that no pair went through another; tunnelled:
+    pairs that did, as far as they were looked for; clamped: vertices pressed from both sides with less room than they need.
     """
     found = []
     zoned, allowed = work.get("zoned", 0), ZONES * model.vertex_count * substeps
@@ -91,6 +92,10 @@ def work_flags(model: ClothModel, work: Mapping[str, int], substeps: int) -> tup
         found.append(f"zones {zoned} vertices moved rigidly since reset, above {allowed:g}")
     if work.get("unproved", 0) > 0:
         found.append(f"unproved {work['unproved']} substeps of contact since reset")
+    if work.get("tunnel_events", 0) > 0:
+        found.append(f"tunnelled {work['tunnel_events']} pairs since reset")
+    if clamped > 0:
+        found.append(f"clamped {clamped} vertices in the last step")
     return tuple(found)
 
 

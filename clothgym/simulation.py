@@ -102,6 +102,7 @@ class Simulation:
             "state": self._state.copy(),
             "forces": self.measured_forces(),
             "untangling_passes": self._frame.untangling_passes,
+            "clamped": self._frame.clamped,
             "work": dict(self._frame.work),
             "trace": self._trace,
         }
@@ -111,6 +112,7 @@ class Simulation:
         self._restore(values["state"])
         self.set_measured_forces(values["forces"])
         self._frame.untangling_passes = values["untangling_passes"]
+        self._frame.clamped = values["clamped"]
         self._frame.work = values["work"]
         self._trace = values["trace"]
 
@@ -205,7 +207,10 @@ class Simulation:
 
         contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m]
         (of vertices and midpoints of faces below the true surface of the bodies), kinetic_energy and potential_energy
-        [J], max_speed [m/s], time [s], untangling_passes (since reset), work (counters since reset), flags (see `flags`).
+        [J], max_speed [m/s], time [s], clamped (vertices that layers or body parts pressed from opposite sides, harder than
+        they could give way, in the last step), tunnel_events (pairs that passed each other since reset, as far as
+        `Fidelity.continuous` looks for them), untangling_passes (since reset), work (counters since reset), flags (see
+        `flags`).
         """
         x, v = self._state.positions, self._state.velocities
         hits = self.last_intersections
@@ -219,6 +224,8 @@ class Simulation:
             "kinetic_energy": metrics.kinetic_energy(self.model, v),
             "potential_energy": metrics.potential_energy(self.model, x),
             "max_speed": float(np.sqrt((v * v).sum(axis=1).max())),
+            "clamped": self._frame.clamped,
+            "tunnel_events": self._frame.work.get("tunnel_events", 0),
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
             "flags": self.flags(),
@@ -227,11 +234,12 @@ class Simulation:
     def flags(self) -> tuple[str, ...]:
         """What is wrong with the current state although the run goes on, one line each, empty when all is well.
 
-        Each begins with its kind: stretch, compression, speed, zones, unproved, rounding or energy (see `metrics.flags`).
+        Each begins with its kind: stretch, compression, speed, rounding, zones, unproved, tunnelled, clamped or
+        energy (see `metrics.flags`).
         """
         state, frame = self._state, self._frame
         found = metrics.flags(self.model, state.positions, state.velocities, self.pipeline.dt)
-        found += metrics.work_flags(self.model, frame.work, self.pipeline.substeps)
+        found += metrics.work_flags(self.model, frame.work, self.pipeline.substeps, frame.clamped)
         start = self._trace.untouched(frame.untangling_passes, len(state.held_vertices))
         if start is not None and self.scene.calm:
             found += metrics.energy_flags(

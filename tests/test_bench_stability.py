@@ -101,7 +101,7 @@ def test_peaks_are_those_of_the_whole_run_not_of_its_end() -> None:
     assert result["peaks"]["stretch"] >= 0.8
     assert kept[0].metrics()["max_strain"] < 0.5
     assert kept[0].flags() == ()
-    assert (result["outcome"], result["flags"]) == ("degraded", ["stretch"])
+    assert result["outcome"] == "degraded" and "stretch" in result["flags"]
 
 
 def test_a_run_that_diverges_is_stopped_and_keeps_its_last_state() -> None:

@@ -536,6 +536,7 @@ KNOBS = {
     "k": (pile, CONTACT, 26, 0, "boxes"),
     "arity": (pile, CONTACT, 2, 0, "boxes"),
     "repair_rounds": (pile, CONTACT, 0, 20, "state"),
+    "continuous": (tangle, dataclasses.replace(GLOBAL, untangling="none", rings=4), True, 1, "work"),
     "untangling": (tangle, GLOBAL, "local", 0, "state"),
     "untangling_passes": (tangle, GLOBAL, 3, 0, "state"),
     "h0": (tangle, GLOBAL, 0.3, 0, "state"),

@@ -5,12 +5,18 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import numpy as np
+
+from clothgym.arrays import FloatArray
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import integrate
+from clothgym.kernels import clamped, integrate
 from clothgym.kernels.integrate import Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
 from clothgym.stages.integrate import Step
+
+_SHARINGS = 4
+"""Rounds in which clamped layers share their room: as many layers between two walls take part."""
 
 
 class ContactSubsteps:
@@ -41,6 +47,11 @@ class ContactSubsteps:
             self.reads = ("positions", "velocities", "quads")  # no stage looks for intersections
         if windy:
             self.reads = (*self.reads, "external")
+        self.watch = Watch(candidates) if fidelity.continuous else None
+        if self.watch:
+            self.name = f"{self.name[:-1]}, continuous tests]"
+        self.pushes = np.zeros((model.vertex_count, 8))
+        self.clamped = np.zeros(model.vertex_count, np.bool_)
 
     def _predict(self, frame: Frame, motion: Motion) -> None:
         self.step.integrator.predict(frame, motion)
@@ -82,6 +93,7 @@ class ContactSubsteps:
             frame.count("contacts", self.contacts.active)
             now = frame.clock(f"{self.name}: closest points", now)
             self._solve(frame, motion, n)
+            frame.clamped = self._share_room(p)
             now = frame.clock(f"{self.name}: solve", now)
             share = (n + 1 - base) / horizon
             for _ in range(self._ATTEMPTS):
@@ -104,9 +116,45 @@ class ContactSubsteps:
                     break
             else:
                 frame.count("unproved", 1)
+            if self.watch:
+                frame.count("tunnel_events", self.watch.events(x, p, all_pairs=found.outdated(p, share)))
             integrate.finish(x, v, p, s.dt)
             self._answer(frame)
             frame.clock(f"{self.name}: advance", now)
+        frame.clamped += self._between_bodies()
+
+    def _share_room(self, p: FloatArray) -> int:
+        """Lets clamped vertices keep away from both sides alike; returns how many there are."""
+        contacts, active = self.contacts.arrays, self.contacts.active
+        found = clamped.between_layers(p, contacts, active, self.pushes, self.clamped)
+        for _ in range(_SHARINGS if found else 0):
+            clamped.share_room(p, contacts, active, self.clamped, self.pushes)
+        return int(found)
+
+    def _between_bodies(self) -> int:
+        """Vertices that bodies clamp, beyond those that layers do."""
+        return 0
+
+
+class Watch:
+    """Continuous tests of the pairs that the certificate does not cover: beside intersections, and touching ones."""
+
+    def __init__(self, candidates: Any) -> None:
+        from clothgym.kernels import continuous
+
+        self.first_times, self.candidates = continuous.first_times, candidates
+        self.times = np.zeros(0)
+
+    def events(self, x: FloatArray, p: FloatArray, all_pairs: bool) -> int:
+        """How many pairs that were apart at x pass each other on the straight way to p."""
+        found = self.candidates
+        chosen = slice(None) if all_pairs else found.separation[: found.count, 3] <= 0.0
+        quads, kinds = found.quads[: found.count][chosen], found.kinds[: found.count][chosen]
+        if len(self.times) < len(quads):
+            self.times = np.zeros(int(1.3 * len(quads)))
+        times = self.times[: len(quads)]
+        self.first_times(x, p - x, quads, kinds, 0.0, times)
+        return int(((times > 0.0) & (times <= 1.0)).sum())
 
 
 class ContactSubstepsOnBody(ContactSubsteps):
@@ -136,3 +184,6 @@ class ContactSubstepsOnBody(ContactSubsteps):
     def _answer(self, frame: Frame) -> None:
         super()._answer(frame)
         self.body_kernels.answer_body(frame.state.velocities, frame.model.inverse_masses, self.contact, self.step.dt)
+
+    def _between_bodies(self) -> int:
+        return self.body.clamped(self.clamped)

@@ -190,7 +190,9 @@ EXTREMES: dict[str, Extreme] = {
     "thrown at the ground": Extreme("m/s", (1.0, 10.0, 100.0), _thrown_scene, _throw, falls=False),
     "thrown at a ball": Extreme("m/s", (1.0, 10.0, 100.0), _body_scene, _throw, falls=False),
     "gravity": Extreme("g", (1.0, 10.0, 100.0), lambda value: cg.Scene((sheet(),), gravity=(0.0, -9.81 * value, 0.0))),
-    "wind": Extreme("m/s", (1.0, 1e2, 1e4), lambda value: cg.Scene((sheet(),), wind=(0.0, 0.0, value)), worked=True, falls=False),
+    "wind": Extreme(
+        "m/s", (1.0, 1e2, 1e4), lambda value: cg.Scene((sheet(),), wind=(0.0, 0.0, value)), worked=True, falls=False
+    ),
     "slivers": Extreme("aspect", (1.0, 30.0, 1e3), _slivers),
     "faces without area": Extreme("%", (0.0, 10.0, 30.0), _without_area),
     "faces given several times": Extreme("copies", (1, 2, 3), _duplicates),

@@ -240,11 +240,11 @@ class Simulation:
         state, frame = self._state, self._frame
         found = metrics.flags(self.model, state.positions, state.velocities, self.pipeline.dt)
         found += metrics.work_flags(self.model, frame.work, self.pipeline.substeps, frame.clamped)
-        start = self._trace.untouched(frame.untangling_passes, len(state.held_vertices))
+        start = self._trace.untouched(len(state.held_vertices))
         if start is not None and self.scene.calm:
-            found += metrics.energy_flags(
-                self.model, start.positions, start.velocities, state.positions, state.velocities
-            )
+            own = frame.untangling_passes == self._trace.passes
+            share = metrics.ENERGY if own else metrics.ENERGY_UNTANGLED
+            found += metrics.energy_flags(self.model, start, state.positions, state.velocities, share)
         return found
 
     # --- what can be set --------------------------------------------------------------------------------------------

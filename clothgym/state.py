@@ -85,7 +85,7 @@ class ClothState:
 
 
 class Trace:
-    """Since when a simulation has run on its own: nobody set its state, no gripper held, no untangling moved anything.
+    """Since when a simulation has run on its own: nobody set its state, no gripper held.
 
     Costs a step next to nothing: it keeps the copy of the state that the step makes anyway.
     """
@@ -100,6 +100,6 @@ class Trace:
             self.start, self.passes = before, passes
         self.held = self.held or len(before.held_vertices) > 0
 
-    def untouched(self, passes: int, held: int) -> ClothState | None:
-        """The state from which on nothing but the scene's own forces acted, or None."""
-        return None if self.held or held or passes != self.passes else self.start
+    def untouched(self, held: int) -> ClothState | None:
+        """The state from which on nothing but the scene's own forces and untangling acted, or None."""
+        return None if self.held or held else self.start

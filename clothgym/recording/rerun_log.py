@@ -226,7 +226,8 @@ class RerunLog:
             outcome: state_hash (str), reward (float), terminated, truncated (bool), for replay.
 
         Raises:
-            ValueError: not opened, closed, a step that does not grow, wrong shapes, positions that are not finite, unknown bodies.
+            ValueError: not opened, closed, a step that does not grow, wrong shapes, positions that are not finite, unknown
+                bodies.
         """
         self._need_open()
         if self.steps and step <= self.steps[-1]:

@@ -108,8 +108,8 @@ def _duplicates(value: float) -> cg.Scene:
 
 def _coincident(value: float) -> cg.Scene:
     """So many layers in exactly the same place."""
-    mesh = cg.grid(1.0, 1.0, CELLS, CELLS)
-    return cg.Scene([cg.Cloth(mesh, _MATERIAL, (0, CELLS), name=f"layer {k}") for k in range(int(value))])
+    mesh = cg.grid(1.0, 1.0, 5, 5)
+    return cg.Scene([cg.Cloth(mesh, _MATERIAL, (0, 5), name=f"layer {k}") for k in range(int(value))])
 
 
 def _offset(value: float) -> cg.Scene:

@@ -14,6 +14,8 @@ BoolArray = NDArray[np.bool_]
 
 FARTHEST = 1e9
 """Coordinates of a scene end here [m]: beyond, neighbouring float64 are further apart than the least thickness."""
+SQUARABLE = 1e150
+"""Coordinates of meshes that are only looked at end here: squares of larger ones overflow."""
 LEAST_EDGE = 1e-9
 """Cloth with a smaller mean edge [m] is refused; from here to `FARTHEST` no square of a strain overflows."""
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clothgym.arrays import FARTHEST, FloatArray, IntArray, as_faces, as_points, check_number
+from clothgym.arrays import FARTHEST, SQUARABLE, FloatArray, IntArray, as_faces, as_points, check_number
 
 
 class SurfaceArrays(NamedTuple):
@@ -103,9 +103,9 @@ class Surface:
         """Finite (V, 3) float64 vertices that cover every id.
 
         Raises:
-            ValueError: wrong shape, too few rows, or an entry that is not finite, by index.
+            ValueError: wrong shape, too few rows, or an entry that is not finite or beyond 1e150, by index.
         """
-        x = as_points(vertices)
+        x = as_points(vertices, limit=SQUARABLE)
         if len(x) < self.vertex_count:
             bad = int(np.argmax((self.given_faces >= len(x)).any(axis=1)))
             column = int(np.argmax(self.given_faces[bad] >= len(x)))
@@ -127,7 +127,7 @@ def as_surface(vertices: Any, faces: Any = None) -> tuple[FloatArray, Surface]:
         vertices, faces = np.asarray(vertices.vertices), np.asarray(vertices.faces)
     if isinstance(faces, Surface):
         return faces.check_vertices(vertices), faces
-    x = as_points(vertices)
+    x = as_points(vertices, limit=SQUARABLE)
     return x, Surface(faces, len(x))
 
 

@@ -169,6 +169,18 @@ def test_cloth_too_small_or_too_far_is_refused():
         assert not not_finite(sim.metrics())
 
 
+def test_geometry_beyond_what_can_be_squared_is_refused():
+    vertices = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -1], [0.5, 0.5, 1], [3, 3, 0.3]], float)
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    for scale in (1e-9, 1.0, 1e9, 1e140):
+        hits = cg.intersections(vertices * scale, faces)
+        assert hits.hit_count == 2
+        assert math.isfinite(hits.length) and not not_finite([hits.points, hits.gradient(), hits.segments])
+    for asked in (cg.intersections, cg.untangle, lambda v, f: cg.proximities(v, f, 0.1)):
+        with pytest.raises(ValueError, match=r"vertices\[1, 0\] = 2e\+160: out of range"):
+            asked(vertices * 1e160, faces)
+
+
 @pytest.mark.parametrize("gap", [0.0, 5e-324, 1e-300, 1e-20, 1e-12])
 def test_vertices_that_all_but_coincide_give_no_infinite_strain(gap):
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, gap, 0], [1.5, 0, 1]], float)

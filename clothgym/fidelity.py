@@ -49,6 +49,8 @@ class Fidelity:
         detection: "hierarchy" (k-DOP tree) or "brute_force".
         k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
         arity: children a node: 2, 4, 8.
+        flat_check: with the hierarchy, sheets that are height fields over a plane, and far from each other, are recognised
+            without a search for pairs.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
         untangling_passes: corrections a step.
@@ -78,6 +80,7 @@ class Fidelity:
     detection: str = "hierarchy"
     k: int = 18
     arity: int = 4
+    flat_check: bool = True
     repair_rounds: int = 8
     untangling: str = "hybrid"
     untangling_passes: int = 3
@@ -110,6 +113,8 @@ class Fidelity:
                     f"fidelity.{field} = {getattr(self, field)!r}: expected one of {', '.join(map(str, choices))}"
                 )
             object.__setattr__(self, field, int(getattr(self, field)))
+        if not isinstance(self.flat_check, bool):
+            raise ValueError(f"fidelity.flat_check = {self.flat_check!r}: expected True or False")
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {self.untangling!r}: expected the name of a strategy")
         if self.velocity_modification != "none" and self.integrator != "symplectic_euler":

@@ -105,7 +105,7 @@ class Pipeline:
             started = time.perf_counter()
             stage.run(frame)
             frame.clock(stage.name, started)
-            if "positions" in stage.writes and (diverged := frame.diverged()):
+            if "positions" in stage.writes and not getattr(stage, "idle", False) and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
 
@@ -286,7 +286,8 @@ class _Untangle:
     def run(self, frame: Frame) -> None:
         state, model, fidelity = frame.state, frame.model, self.fidelity
         self.apart[:] = False
-        if self.candidates.flat:  # decided for where everything is now, too
+        self.idle = self.candidates.flat  # decided for where everything is now, too
+        if self.idle:
             frame.count("hits", 0)
             return
         tree = self.candidates.tree

@@ -516,6 +516,10 @@ def outcome(make, fidelity, speed: float = 0.0):
     return sim.pipeline.describe(), sim.state_hash(), getattr(tree, "box_tests", None), sim.metrics()["work"]
 
 
+def lone_sheet():
+    return dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=4), self_collision=True)
+
+
 def on_ball():
     """A sheet that lies on a ball finer than its own cells."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
@@ -535,6 +539,7 @@ KNOBS = {
     "detection": (pile, CONTACT, "brute_force", 0, "work"),
     "k": (pile, CONTACT, 26, 0, "boxes"),
     "arity": (pile, CONTACT, 2, 0, "boxes"),
+    "flat_check": (lone_sheet, CONTACT, False, 0, "work"),
     "repair_rounds": (pile, CONTACT, 0, 20, "state"),
     "untangling": (tangle, GLOBAL, "local", 0, "state"),
     "untangling_passes": (tangle, GLOBAL, 3, 0, "state"),

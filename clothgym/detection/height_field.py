@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels import height_field
 from clothgym.kernels.height_field import Sheets, Tube
 from clothgym.mesh import Surface
+
+Ids = NDArray[np.int64]
 
 _COMPONENTS = 64
 """More are not decided: each is compared with each."""
@@ -38,6 +43,7 @@ class HeightFields:
             np.zeros((count, 3, 3)),
             np.zeros(count),
             np.zeros((count, 6)),
+            np.zeros(3),
             np.zeros(border),
             np.zeros(border, np.int64),
             np.zeros(border, np.int64),
@@ -54,7 +60,7 @@ class HeightFields:
         return self.possible and bool(height_field.decide(x, travel, self.sheets, self.tube))
 
     def stays(self, x: FloatArray, share: float) -> bool:
-        """Whether x (V, 3) [m], `share` of the way, is near enough to what was expected, so that the decision holds up to here."""
+        """Whether x (V, 3) [m], `share` of the way, is near enough to what was expected for the decision to hold."""
         return bool(height_field.stays(x, share, self.sheets, self.tube))
 
 
@@ -93,10 +99,10 @@ def _sheets(surface: Surface, reach: FloatArray) -> Sheets | None:
     )
 
 
-def _grouped(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
+def _grouped(group: Ids, count: int) -> tuple[Ids, Ids]:
     """Ids sorted by group, and where each group starts (count + 1,); those of group -1 are left out."""
     order = np.argsort(group, kind="stable")
-    start = np.searchsorted(group[order], np.arange(count + 1))
+    start = np.searchsorted(group[order], np.arange(count + 1)).astype(np.int64)
     return order[start[0] :], start - start[0]
 
 
@@ -128,7 +134,7 @@ def _manifold(surface: Surface) -> bool:
     return bool(fans == len(np.unique(surface.faces)))
 
 
-def _loops(border: IntArray, border_start: IntArray, vertices: int) -> IntArray:
+def _loops(border: IntArray, border_start: Ids, vertices: int) -> IntArray:
     """(B,) loop of each edge of an outline, numbered from 0 in its component."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -136,6 +142,6 @@ def _loops(border: IntArray, border_start: IntArray, vertices: int) -> IntArray:
     graph = coo_array((np.ones(len(border), np.int8), (border[:, 0], border[:, 1])), shape=(vertices,) * 2)
     label = connected_components(graph, directed=False)[1][border[:, 0]]
     loop = np.empty(len(border), np.int32)
-    for first, last in zip(border_start[:-1], border_start[1:], strict=True):
+    for first, last in pairwise(border_start):
         loop[first:last] = np.unique(label[first:last], return_inverse=True)[1]
     return loop

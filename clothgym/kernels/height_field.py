@@ -28,7 +28,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
@@ -40,10 +39,9 @@ from clothgym.kernels.integrate import (
     keep_above_ground,
     start_grips,
 )
+from clothgym.kernels.outline import clearance
 from clothgym.kernels.springs import project_springs
 
-_PAIRS = 64
-"""Pairs of edges of an outline that are looked at, per edge: an outline with more in one place is not decided."""
 _LEAST = 0.1
 """Slack that is worth a decision, in reaches: less would be used up at once."""
 
@@ -67,7 +65,8 @@ class Tube(NamedTuple):
     ways: NDArray  # (V, 4) [m] both coordinates in the plane at the start, and how far each goes against the mean
     axes: NDArray  # (C, 3, 3) origin, and both unit axes of the plane
     slack: NDArray  # (C,) [m]
-    boxes: NDArray  # (C, 6) [m] box of everywhere the component was since: low and high of each coordinate
+    boxes: NDArray  # (C, 6) [m] everywhere each component was since, against the drift: lows, then highs
+    drift: NDArray  # (3,) [m] how far all go on average
     lows: NDArray  # (B,) [m] scratch: lower end of an edge of an outline along the first axis
     order: NDArray  # (B,) int64 scratch: edges of an outline by their lower end
     spare: NDArray  # (B,) int64 scratch
@@ -105,7 +104,7 @@ def _plane(x, u, sheets, c, axes):
     nx /= size
     ny /= size
     nz /= size
-    # the first axis leans against the lines of a mesh that stands along the main axes: few edges of an outline share an interval
+    # the first axis leans against the lines of a mesh along the main axes, so that few edges of an outline share an interval
     hx = 0.36
     hy = 0.48
     hz = 0.8
@@ -208,156 +207,6 @@ def _least_width(sheets, c, ways):
 
 
 @device
-def _halfway(ways, i):
-    return ways[i, 0] + 0.5 * ways[i, 2], ways[i, 1] + 0.5 * ways[i, 3]
-
-
-@device
-def _from_edge(ways, v, i, j):
-    """Distance [m] of vertex v from edge (i, j) halfway."""
-    px, py = _halfway(ways, v)
-    ax, ay = _halfway(ways, i)
-    bx, by = _halfway(ways, j)
-    bx -= ax
-    by -= ay
-    px -= ax
-    py -= ay
-    square = bx * bx + by * by
-    share = (px * bx + py * by) / square if square > 0.0 else 0.0
-    share = min(max(share, 0.0), 1.0)
-    px -= share * bx
-    py -= share * by
-    return math.sqrt(px * px + py * py)
-
-
-@device
-def _side(ways, i, j, v):
-    """Twice the area of (i, j, v) halfway: > 0 on the left of the edge [m^2]."""
-    ax, ay = _halfway(ways, i)
-    bx, by = _halfway(ways, j)
-    px, py = _halfway(ways, v)
-    return (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-
-
-@device
-def _stray(ways, i, j):
-    """How far two vertices move against each other, up to halfway or from there on [m]."""
-    u = ways[i, 2] - ways[j, 2]
-    v = ways[i, 3] - ways[j, 3]
-    return 0.5 * math.sqrt(u * u + v * v)
-
-
-@device
-def _clearance(ways, a, b, c, d):
-    """Least distance [m] at any time of a vertex of edge (a, b) or (c, d) from the other edge, if it does not end there.
-
-    From the distances halfway, less what the vertices move against each other. Edges that cross have none.
-    """
-    stray = max(max(_stray(ways, a, c), _stray(ways, a, d)), max(_stray(ways, b, c), _stray(ways, b, d)))
-    joined = a == c or a == d or b == c or b == d
-    if not joined:
-        # signs that rounding may have changed belong to a vertex next to the other edge's line
-        ahead = _side(ways, a, b, c) * _side(ways, a, b, d) <= 0.0
-        if ahead and _side(ways, c, d, a) * _side(ways, c, d, b) <= 0.0:
-            return 0.0
-    least = math.inf
-    if a != c and a != d:
-        least = min(least, _from_edge(ways, a, c, d))
-    if b != c and b != d:
-        least = min(least, _from_edge(ways, b, c, d))
-    if c != a and c != b:
-        least = min(least, _from_edge(ways, c, a, b))
-    if d != a and d != b:
-        least = min(least, _from_edge(ways, d, a, b))
-    return least - stray
-
-
-@device
-def _interval(ways, i, j, k):
-    """Interval of an edge on its way along axis k of the plane."""
-    low = min(ways[i, k] + min(ways[i, 2 + k], 0.0), ways[j, k] + min(ways[j, 2 + k], 0.0))
-    high = max(ways[i, k] + max(ways[i, 2 + k], 0.0), ways[j, k] + max(ways[j, 2 + k], 0.0))
-    return low, high
-
-
-@device
-def _sort(lows, order, spare, first, last):
-    """Sorts the edges first .. last - 1 of an outline by their lower ends: runs of 1, 2, 4 ... are merged."""
-    for n in range(first, last):
-        order[n] = n
-    run = 1
-    while run < last - first:
-        for begin in range(first, last, 2 * run):
-            middle = min(begin + run, last)
-            end = min(begin + 2 * run, last)
-            one = begin
-            two = middle
-            for n in range(begin, end):
-                if one < middle and (two >= end or lows[order[one]] <= lows[order[two]]):
-                    spare[n] = order[one]
-                    one += 1
-                else:
-                    spare[n] = order[two]
-                    two += 1
-        for n in range(first, last):
-            order[n] = spare[n]
-        run *= 2
-
-
-@device
-def _outline(sheets, c, tube, radius):
-    """Least distance [m], at any time, of a vertex of the outline from an edge of it that does not end there, at most 2 radius.
-
-    0 if the outline crosses itself, has not exactly one counter-clockwise loop, or has too many edges in one place.
-    """
-    ways = tube.ways
-    first = sheets.border_start[c]
-    last = sheets.border_start[c + 1]
-    for n in range(first, last):
-        tube.lows[n] = _interval(ways, sheets.border[n, 0], sheets.border[n, 1], 0)[0]
-    _sort(tube.lows, tube.order, tube.spare, first, last)
-    least = 2.0 * radius
-    looked = 0
-    for n in range(first, last):
-        e = tube.order[n]
-        a = sheets.border[e, 0]
-        b = sheets.border[e, 1]
-        end = _interval(ways, a, b, 0)[1] + 2.0 * radius
-        low, high = _interval(ways, a, b, 1)
-        low -= 2.0 * radius
-        high += 2.0 * radius
-        m = n + 1
-        while m < last and tube.lows[tube.order[m]] <= end:
-            f = tube.order[m]
-            m += 1
-            looked += 1
-            other_low, other_high = _interval(ways, sheets.border[f, 0], sheets.border[f, 1], 1)
-            if other_low <= high and other_high >= low:
-                least = min(least, _clearance(ways, a, b, sheets.border[f, 0], sheets.border[f, 1]))
-        if not least > 0.0 or looked > _PAIRS * (last - first):
-            return 0.0
-    loops = 0
-    for n in range(first, last):
-        loops = max(loops, sheets.loop[n] + 1)
-    if loops > 1:
-        for n in range(loops):
-            tube.turns[first + n] = 0.0
-        for n in range(first, last):
-            px, py = _halfway(ways, sheets.border[n, 0])
-            qx, qy = _halfway(ways, sheets.border[n, 1])
-            tube.turns[first + sheets.loop[n]] += 0.5 * (px * qy - py * qx)
-        forward = 0
-        for n in range(loops):
-            # a simple loop holds at least half of a disc of this radius: far from what rounding can change
-            if not abs(tube.turns[first + n]) > 0.1 * least * least:
-                return 0.0
-            forward += tube.turns[first + n] > 0.0
-        if forward != 1:
-            return 0.0
-    return least
-
-
-@device
 def _apart(boxes, reach):
     """Whether all boxes are further apart than the larger reach of both."""
     for c in range(boxes.shape[0]):
@@ -372,14 +221,25 @@ def _apart(boxes, reach):
 
 
 @device
-def _widen(x, sheets, boxes):
-    """Widens the box of every component by where its vertices are."""
+def _open(boxes):
+    """Boxes of nothing."""
+    for c in range(boxes.shape[0]):
+        for k in range(3):
+            boxes[c, k] = math.inf
+            boxes[c, 3 + k] = -math.inf
+
+
+@device
+def _widen(x, u, share, drifted, sheets, tube):
+    """Widens the box of every component by x + share u - drifted * drift."""
+    boxes = tube.boxes
     for c in range(boxes.shape[0]):
         for m in range(sheets.member_start[c], sheets.member_start[c + 1]):
             i = sheets.members[m]
             for k in range(3):
-                boxes[c, k] = min(boxes[c, k], x[i, k])
-                boxes[c, 3 + k] = max(boxes[c, 3 + k], x[i, k])
+                here = x[i, k] + share * u[i, k] - drifted * tube.drift[k]
+                boxes[c, k] = min(boxes[c, k], here)
+                boxes[c, 3 + k] = max(boxes[c, 3 + k], here)
 
 
 @kernel
@@ -400,16 +260,23 @@ def decide(x, u, sheets, tube):
         radius = 0.5 * (1.0 - 1e-9) * _least_width(sheets, c, tube.ways)
         if not radius > least:
             return False
-        radius = 0.5 * (1.0 - 1e-9) * _outline(sheets, c, tube, radius)
+        radius = 0.5 * (1.0 - 1e-9) * clearance(sheets, c, tube, radius)
         if not radius > least:
             return False
         tube.slack[c] = radius - 0.5 * sheets.reach[c] - lost
     if count > 1:
-        tube.boxes[:, :3] = math.inf
-        tube.boxes[:, 3:] = -math.inf
-        _widen(x, sheets, tube.boxes)
+        for k in range(3):
+            tube.drift[k] = 0.0
+            for m in range(sheets.members.shape[0]):
+                tube.drift[k] += u[sheets.members[m], k] / sheets.members.shape[0]
+        _open(tube.boxes)
+        _widen(x, u, 1.0, 1.0, sheets, tube)
+        _widen(x, u, 0.0, 0.0, sheets, tube)
         if not _apart(tube.boxes, sheets.reach):
             return False
+        # from here on they hold what really happens
+        _open(tube.boxes)
+        _widen(x, u, 0.0, 0.0, sheets, tube)
     return True
 
 
@@ -449,19 +316,21 @@ def _stays(x, share, sheets, tube):
         if not 0.5 * math.sqrt(wide * wide + deep * deep) + (total - total) <= tube.slack[c]:
             return False
     if sheets.reach.shape[0] > 1:
-        _widen(x, sheets, tube.boxes)
+        _widen(x, x, 0.0, share, sheets, tube)
         return _apart(tube.boxes, sheets.reach)
     return True
 
 
 @kernel
 def stays(x, share, sheets, tube):
-    """Whether x (V, 3) [m], `share` of the way, keeps to what was decided; so does then the straight way from the last such x."""
+    """Whether x (V, 3) [m], `share` of the way, keeps to what was decided; so does the straight way from the last such x."""
     return _stays(x, share, sheets, tube)
 
 
 @kernel
-def xpbd_substeps(x, v, p, kept, cloth, radii, motion, ground, grips, multipliers, first, last, base, horizon, sheets, tube):
+def xpbd_substeps(
+    x, v, p, kept, cloth, radii, motion, ground, grips, multipliers, first, last, base, horizon, sheets, tube
+):
     """`integrate.xpbd_substeps` from substep `first` up to `last`, as long as the sheets stay height fields.
 
     The motion decided upon began at substep `base` and takes `horizon` of them; kept (V, 3) is scratch. Returns the substep

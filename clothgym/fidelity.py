@@ -49,6 +49,8 @@ class Fidelity:
         detection: "hierarchy" (k-DOP tree) or "brute_force".
         k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
         arity: children a node: 2, 4, 8.
+        flat_check: with the hierarchy, sheets that are height fields over a plane, and far from each other, are recognised
+            without a search for pairs.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
             other as `tunnel_events`; nothing else changes. Costs about a tenth of a step with contact.
@@ -80,6 +82,7 @@ class Fidelity:
     detection: str = "hierarchy"
     k: int = 18
     arity: int = 4
+    flat_check: bool = True
     repair_rounds: int = 8
     continuous: bool = False
     untangling: str = "hybrid"
@@ -113,8 +116,9 @@ class Fidelity:
                     f"fidelity.{field} = {getattr(self, field)!r}: expected one of {', '.join(map(str, choices))}"
                 )
             object.__setattr__(self, field, int(getattr(self, field)))
-        if not isinstance(self.continuous, bool):
-            raise ValueError(f"fidelity.continuous = {self.continuous!r}: expected True or False")
+        for field in ("flat_check", "continuous"):
+            if not isinstance(getattr(self, field), bool):
+                raise ValueError(f"fidelity.{field} = {getattr(self, field)!r}: expected True or False")
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {self.untangling!r}: expected the name of a strategy")
         if self.velocity_modification != "none" and self.integrator != "symplectic_euler":

@@ -94,9 +94,7 @@ class Simulation:
             "state": self._state.copy(),
             "forces": self.measured_forces(),
             "clamped": self._frame.clamped,
-            "tunnel_events": self._frame.work.get("tunnel_events", 0),
             "untangling_passes": self._frame.untangling_passes,
-            "clamped": self._frame.clamped,
             "work": dict(self._frame.work),
         }
 

@@ -54,6 +54,8 @@ class Fidelity:
         detection: "hierarchy" (k-DOP tree) or "brute_force".
         k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
         arity: children a node: 2, 4, 8.
+        flat_check: with the hierarchy, sheets that are height fields over a plane, and far from each other, are recognised
+            without a search for pairs.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
             other as `tunnel_events`; nothing else changes. Costs about a tenth of a step with contact.
@@ -85,6 +87,7 @@ class Fidelity:
     detection: str = "hierarchy"
     k: int = 18
     arity: int = 4
+    flat_check: bool = True
     repair_rounds: int = 8
     continuous: bool = False
     untangling: str = "hybrid"
@@ -117,7 +120,8 @@ class Fidelity:
             if not isinstance(value, int | float | np.number) or isinstance(value, bool) or value not in choices:
                 raise ValueError(f"fidelity.{field} = {shown(value)}: expected one of {', '.join(map(str, choices))}")
             object.__setattr__(self, field, int(getattr(self, field)))
-        object.__setattr__(self, "continuous", check_flag(self.continuous, "fidelity.continuous"))
+        for field in ("flat_check", "continuous"):
+            object.__setattr__(self, field, check_flag(getattr(self, field), f"fidelity.{field}"))
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {shown(self.untangling)}: expected the name of a strategy")
         if self.velocity_modification != "none" and self.integrator != "symplectic_euler":

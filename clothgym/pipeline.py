@@ -35,7 +35,7 @@ class Pipeline:
             started = time.perf_counter()
             stage.run(frame)
             frame.clock(stage.name, started)
-            if "positions" in stage.writes and (diverged := frame.diverged()):
+            if "positions" in stage.writes and not getattr(stage, "idle", False) and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
 
@@ -78,7 +78,8 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         from clothgym.detection.hierarchy import Hierarchy as Tree
     else:
         from clothgym.detection.brute_force import BruteForce as Tree  # type: ignore[assignment]
-    candidates = Candidates(model, Tree(model.surface, scene.start, fidelity.k, fidelity.arity))
+    tree = Tree(model.surface, scene.start, fidelity.k, fidelity.arity)
+    candidates = Candidates(model, tree, fidelity.flat_check and fidelity.detection == "hierarchy")
     apart = np.zeros(model.vertex_count, np.bool_)
     pairs = FacePairs(candidates, scene.step, step.substeps, np.asarray(scene.gravity, float))
     stages.append(pairs)

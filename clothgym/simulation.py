@@ -101,8 +101,8 @@ class Simulation:
             "fidelity": self.fidelity,
             "state": self._state.copy(),
             "forces": self.measured_forces(),
-            "untangling_passes": self._frame.untangling_passes,
             "clamped": self._frame.clamped,
+            "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
             "trace": self._trace,
         }

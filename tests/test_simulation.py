@@ -516,6 +516,10 @@ def outcome(make, fidelity, speed: float = 0.0):
     return sim.pipeline.describe(), sim.state_hash(), getattr(tree, "box_tests", None), sim.metrics()["work"]
 
 
+def lone_sheet():
+    return dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=4), self_collision=True)
+
+
 def on_ball():
     """A sheet that lies on a ball finer than its own cells."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
@@ -524,6 +528,7 @@ def on_ball():
 
 
 EULER = cg.Fidelity(integrator="symplectic_euler", substeps=0)
+SEARCH = dataclasses.replace(CONTACT, flat_check=False)
 GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
 KNOBS = {
@@ -533,8 +538,9 @@ KNOBS = {
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),
-    "k": (pile, CONTACT, 26, 0, "boxes"),
-    "arity": (pile, CONTACT, 2, 0, "boxes"),
+    "k": (pile, SEARCH, 26, 0, "boxes"),
+    "arity": (pile, SEARCH, 2, 0, "boxes"),
+    "flat_check": (lone_sheet, CONTACT, False, 0, "work"),
     "repair_rounds": (pile, CONTACT, 0, 20, "state"),
     "continuous": (tangle, dataclasses.replace(GLOBAL, untangling="none", rings=4), True, 1, "work"),
     "untangling": (tangle, GLOBAL, "local", 0, "state"),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import clothgym as cg
+from clothgym.benchmarks import flat_sheets
 from clothgym.benchmarks.frame import Benchmark, Case, Row
 from clothgym.benchmarks.report import Table
 
@@ -34,9 +35,9 @@ _NOTES = (
 
 
 def cases(quick: bool) -> list[Case]:
-    """Sizes x states; ipctk is asked up to 80,000 triangles."""
+    """Sizes x states, where ipctk is asked up to 80,000 triangles, and flat sheets."""
     sizes = (800, 5_000, 20_000) if quick else (800, 5_000, 20_000, 80_000, 320_000)
-    return [
+    scaling = [
         Case(
             f"scaling/{state}/{size}",
             {"part": "scaling", "triangles": size, "state": state, "seed": 0, "repeats": 9 if size <= 20_000 else 5},
@@ -44,11 +45,13 @@ def cases(quick: bool) -> list[Case]:
         for size in sizes
         for state in ("clear", "tangled")
     ]
+    return scaling + flat_sheets.cases(quick)
 
 
 def prepare() -> None:
     """Compiles every kernel that a case uses."""
     run({"part": "scaling", "triangles": 64, "state": "tangled", "seed": 0, "repeats": 1})
+    run({"part": "flat", "cells": 4, "steps": 1, "searched": 1, "repeats": 1})
 
 
 def folded_layers(triangles: int, state: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +92,9 @@ def folded_layers(triangles: int, state: str, seed: int) -> tuple[np.ndarray, np
 
 
 def run(parameters: dict[str, Any]) -> dict[str, Any]:
-    """One size in one state: counts, and medians [ms] of ours and of ipctk's."""
+    """One size in one state: counts, and medians [ms] of ours and of ipctk's; or one flat sheet."""
+    if parameters["part"] == "flat":
+        return flat_sheets.run(parameters)
     vertices, faces = folded_layers(parameters["triangles"], parameters["state"], parameters["seed"])
     surface = cg.Surface(faces, len(vertices))
     started = time.perf_counter()
@@ -186,14 +191,14 @@ def growth(sizes: list[int], times: list[float]) -> float | None:
 
 
 def tables(rows: list[Row]) -> list[Table]:
-    """Pairs, hits, and the growth of both."""
+    """Pairs, hits, the growth of both, and flat sheets."""
     scaling = sorted(
         (row for row in rows if row["parameters"]["part"] == "scaling"),
         key=lambda row: (row["parameters"]["triangles"], row["parameters"]["state"]),
     )
-    if not scaling:
-        return []
-    return [_near_table(scaling), _hits_table(scaling), _growth_table(scaling)]
+    flat = [row for row in rows if row["parameters"]["part"] == "flat"]
+    found = [_near_table(scaling), _hits_table(scaling), _growth_table(scaling)] if scaling else []
+    return found + ([flat_sheets.table(flat)] if flat else [])
 
 
 def _ratio(row: Row, kind: str) -> float | None:

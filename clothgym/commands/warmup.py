@@ -127,6 +127,9 @@ def _contact() -> None:
         _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     _steps(crossing, euler, 1)
+    sheet = dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=6), self_collision=True)
+    for flat in ("draft", euler):
+        _steps(sheet, flat, 1)
 
 
 def _wind_and_grips() -> None:

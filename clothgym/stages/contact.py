@@ -24,13 +24,13 @@ class ContactSubsteps:
 
     reads: tuple[str, ...] = ("positions", "velocities", "quads", "apart")
     writes: tuple[str, ...] = ("positions", "velocities")
-    parts = ("predict", "find again", "closest points", "solve", "certify", "advance")
+    parts = ("flat", "predict", "find again", "closest points", "solve", "certify", "advance")
     _ATTEMPTS = 4
 
     def __init__(
         self, step: Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool
     ) -> None:
-        from clothgym.kernels import certificate, contact
+        from clothgym.kernels import certificate, contact, height_field
         from clothgym.response.contact import ContactBuffers
 
         self.step, self.candidates, self.apart = step, candidates, apart
@@ -42,6 +42,9 @@ class ContactSubsteps:
             fidelity.yield_force if fidelity.contacts_near_hits == "yield" else 0.0,
         )
         self.rounds = fidelity.repair_rounds
+        in_sweeps = step.integrator.in_sweeps
+        self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
+        self.kept = np.zeros((model.vertex_count if self.flat_substeps else 0, 3))
         self.name = f"contact substeps [{step.label}]"
         if fidelity.untangling == "none" and fidelity.contacts_near_hits == "keep":
             self.reads = ("positions", "velocities", "quads")  # no stage looks for intersections
@@ -71,12 +74,41 @@ class ContactSubsteps:
             frame.state.velocities, model.inverse_masses, contacts.arrays, contacts.active, self.step.dt
         )
 
+    def _flat(self, frame: Frame, motion: Motion) -> int:
+        """Substeps in one kernel as long as sheets stay height fields that touch nothing; how many were made."""
+        s, state, found = self.step, frame.state, self.candidates
+        if self.flat_substeps is None or not found.flat:
+            return 0
+        frame.count("contacts", 0)
+        done, horizon = 0, found.horizon
+        while True:
+            base = done
+            done = self.flat_substeps(
+                state.positions, state.velocities, frame.predicted, self.kept, frame.model.arrays, s.radii, motion, s.ground,
+                frame.grips, s.integrator.multipliers, done, done + horizon, base, horizon, found.sheets.sheets,
+                found.sheets.tube,
+            )  # fmt: skip
+            if done == s.substeps:
+                return done
+            # what was left is decided again for as long as it held
+            left = s.substeps - done
+            horizon = min(done - base, left)
+            travel = horizon * s.dt * state.velocities
+            if horizon == 0 or not found.settle(state.positions, travel, horizon):
+                found.flat, found.horizon = False, 0
+                return done
+            frame.count("rebuilds", 1)
+
     def run(self, frame: Frame) -> None:
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
         x, v, p = state.positions, state.velocities, frame.predicted
         motion = s.motion(frame)
-        base, horizon = 0, found.horizon  # candidates hold for the substeps base .. base + horizon - 1
-        for n in range(s.substeps):
+        frame.clamped = 0
+        now = time.perf_counter()
+        # candidates hold for the substeps base .. base + horizon - 1
+        base, horizon = self._flat(frame, motion), found.horizon
+        frame.clock(f"{self.name}: flat", now)
+        for n in range(base, s.substeps):
             now = time.perf_counter()
             self._predict(frame, motion)
             now = frame.clock(f"{self.name}: predict", now)
@@ -84,7 +116,7 @@ class ContactSubsteps:
             late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))
             if late or done >= horizon:
                 # what changes its mind is looked at again soon, what kept its course for twice as long
-                base, horizon = n, 1 if late else min(2 * horizon, s.substeps - n)
+                base, horizon = n, 1 if late else min(max(1, 2 * horizon), s.substeps - n)
                 found.expect(x, horizon * (p - x))
                 found.gather()
                 frame.count("rebuilds", 1)
@@ -167,6 +199,7 @@ class ContactSubstepsOnBody(ContactSubsteps):
         from clothgym.kernels import body_contact
 
         self.body_kernels, self.body = body_contact, body
+        self.flat_substeps = None
         self.name = f"{self.name[:-1]}, {body.label}]"
 
     def run(self, frame: Frame) -> None:

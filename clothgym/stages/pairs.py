@@ -26,6 +26,11 @@ class FacePairs:
     def look(self, frame: Frame, horizon: int) -> None:
         """Looks `horizon` substeps ahead."""
         state, ahead = frame.state, self.step * horizon / self.substeps
+        # gravity is left out: what stands still stays, and what falls, falls together
+        if self.candidates.settle(state.positions, ahead * state.velocities, horizon):
+            frame.count("decided_flat", 1)
+            frame.count("box_pairs", 0)
+            return
         fall = (0.5 * ahead * ahead) * self.gravity
         free = (frame.model.inverse_masses > 0)[:, None]
         travel = ahead * state.velocities + np.where(free, fall, 0.0)

@@ -120,7 +120,7 @@ def _offset(value: float) -> cg.Scene:
 
 def _scaled(value: float) -> cg.Scene:
     """A sheet so wide; stiffness goes with its mass, so that the time step need not."""
-    k = max(1e4 * value * value, 1e-6)
+    k = min(max(1e4 * value * value, 1e-6), 1e9)
     cloth = sheet(stretch=k, shear=0.1 * k, flexion=0.0)
     small = Mesh(cloth.mesh.vertices * value, cloth.mesh.faces, cloth.mesh.quads)
     return cg.Scene((cg.Cloth(small, cloth.material, cloth.pins),))

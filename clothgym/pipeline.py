@@ -89,8 +89,9 @@ class Stage(Protocol):
 class Pipeline:
     """Stages in order. `profile` maps stage name to (calls, seconds)."""
 
-    def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float) -> None:
+    def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float, detector: Any = None) -> None:
         self.stages = stages
+        self.detector = detector
         self.substeps, self.dt = substeps, dt
         self.profile: dict[str, list[float]] = {}
         for stage in stages:
@@ -108,6 +109,11 @@ class Pipeline:
             if "positions" in stage.writes and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
+
+    def forget(self) -> None:
+        """Drops what the detection keeps from step to step; results do not depend on it, work counters do."""
+        if hasattr(self.detector, "forget"):
+            self.detector.forget()
 
     def describe(self) -> str:
         """One line per stage: name, what it reads and writes."""
@@ -225,6 +231,20 @@ class _IntegrateOnBody(_Integrate):
             self.kernels.xpbd_substeps_on_body(
                 x, v, p, cloth, s.radii, motion, s.ground, frame.grips, s.multipliers, contact, s.substeps
             )
+
+
+class _Rebuild:
+    """A new tree where the old one has grown too loose."""
+
+    reads: tuple[str, ...] = ("positions",)
+    writes: tuple[str, ...] = ("tree",)
+
+    def __init__(self, candidates: Any, growth: float) -> None:
+        self.candidates = candidates
+        self.name = f"tree [rebuilt at {growth:g}x]"
+
+    def run(self, frame: Frame) -> None:
+        self.candidates.tree.renew(frame.state.positions)
 
 
 class _FacePairs:
@@ -438,6 +458,7 @@ class _ContactSubsteps:
             integrate.finish(x, v, p, s.dt)
             self._answer(frame)
             frame.clock(f"{self.name}: advance", now)
+        found.book(frame.count)
 
 
 class _ContactSubstepsOnBody(_ContactSubsteps):
@@ -499,11 +520,10 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         return Pipeline(tuple(stages), substeps, step.dt)
     from clothgym.response.contact import Candidates
 
-    if fidelity.detection == "hierarchy":
-        from clothgym.detection.hierarchy import Hierarchy as Tree
-    else:
-        from clothgym.detection.brute_force import BruteForce as Tree  # type: ignore[assignment]
-    candidates = Candidates(model, Tree(model.surface, scene.start, fidelity.k, fidelity.arity))
+    tree = _detector(model, fidelity)
+    candidates = Candidates(model, tree)
+    if fidelity.rebuild_growth > 0.0:
+        stages.append(_Rebuild(candidates, fidelity.rebuild_growth))
     apart = np.zeros(model.vertex_count, np.bool_)
     pairs = _FacePairs(candidates, scene.step, substeps, np.asarray(scene.gravity, float))
     stages.append(pairs)
@@ -514,4 +534,27 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         stages.append(_ContactSubstepsOnBody(step, body, candidates, model, fidelity, apart, windy))
     else:
         stages.append(_ContactSubsteps(step, candidates, model, fidelity, apart, windy))
-    return Pipeline(tuple(stages), substeps, step.dt)
+    return Pipeline(tuple(stages), substeps, step.dt, tree)
+
+
+def _detector(model: ClothModel, fidelity: Fidelity) -> Any:
+    """What finds the pairs that may touch."""
+    surface, start = model.surface, model.scene.start
+    if fidelity.detection == "brute_force":
+        from clothgym.detection.brute_force import BruteForce
+
+        return BruteForce(surface, start)
+    if fidelity.detection == "mezger":
+        from clothgym.detection.mezger import MezgerHierarchy, pattern_corners
+
+        places = None
+        if fidelity.build_space == "pattern":
+            places = pattern_corners(surface, [(cloth.mesh.faces, cloth.rest) for cloth in model.scene.cloths])
+        return MezgerHierarchy(surface, start, fidelity, places)
+    if fidelity.rebuild_growth > 0.0:
+        from clothgym.detection.rebuilt import RebuiltHierarchy
+
+        return RebuiltHierarchy(surface, start, fidelity.k, fidelity.arity, fidelity.rebuild_growth)
+    from clothgym.detection.hierarchy import Hierarchy
+
+    return Hierarchy(surface, start, fidelity.k, fidelity.arity)

@@ -38,6 +38,7 @@ class Tree(NamedTuple):
     normal_axis: NDArray[np.float64]  # (N, 3)
     normal_half: NDArray[np.float64]  # (N,) [rad]
     altitude: NDArray[np.float64]  # (N,) [m] least of all triangles
+    radius: NDArray[np.float64]  # (N,) [m] EXACT: every two vertices must keep both their radii beside the rules' reach
     speed_axis: NDArray[np.float64]  # (N, 3)
     speed_half: NDArray[np.float64]  # (N,) [rad]
     speed_low: NDArray[np.float64]  # (N,) [m/s]
@@ -88,7 +89,7 @@ def _self_clear(tree, i, x, rules, plane, counts):
     counts[CONE_TESTS] += 1
     if rules.cones == PAPER:
         return tree.clique[i] == 1 and 2.0 * tree.normal_half[i] < rules.close_angle
-    reach = rules.reach
+    reach = rules.reach + 2.0 * tree.radius[i]
     if rules.dt > 0.0:
         _, _, _, radius = speed_ball(tree, i)
         reach += 2.0 * radius * rules.dt

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
+from clothgym.detection.mezger import MezgerHierarchy
 from clothgym.kernels import contact, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.model import ClothModel
@@ -27,7 +30,7 @@ class Candidates:
     pair is missing.
     """
 
-    def __init__(self, model: ClothModel, tree: Hierarchy | BruteForce) -> None:
+    def __init__(self, model: ClothModel, tree: Hierarchy | BruteForce | MezgerHierarchy) -> None:
         self.model, self.tree = model, tree
         count = len(model.faces)
         self.quads: IntArray = np.zeros((8 * count, 4), np.int32)
@@ -39,11 +42,19 @@ class Candidates:
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
         self.gathered = 0
+        self._booked: dict[str, int] = {}
 
     @property
     def box_pairs(self) -> int:
         """Pairs of primitives whose boxes overlap."""
         return int(self.tree.counts[0] + self.tree.counts[1])
+
+    def book(self, count: Callable[[str, int], None]) -> None:
+        """Reports what the tree has counted since the last time."""
+        for name, total in getattr(self.tree, "counters", {"box_tests": self.tree.box_tests}).items():
+            if total != self._booked.get(name, 0):
+                count(name, total - self._booked.get(name, 0))
+                self._booked[name] = total
 
     def expect(self, x: FloatArray, travel: FloatArray, horizon: int = 1) -> None:
         """Pairs of boxes for vertices that leave x along `travel` (V, 3) [m], in `horizon` substeps."""

@@ -79,8 +79,8 @@ class Fidelity:
         cones: self-collision of regions is left out by "none", by "mezger"'s curvature criterion, which misses regions whose
             outlines fold over themselves and sharp bends, or "exact", with the outline, which misses nothing.
         close_angle: apex angle [rad] from which "mezger" cones look for self-collision; smaller misses less, tests more.
-        leaf_angle: with "mezger" cones, least angle [rad] of two faces in the same or adjacent groups, whose pairs with a common
-            vertex are left out too; 0 = all are tested. Larger is faster and misses more.
+        leaf_angle: with "mezger" cones, least angle [rad] of two faces in the same or adjacent groups; two with a common vertex
+            are left out too. 0 = all are tested; larger is faster and misses more.
         wide_angle: half-angle [rad] from which a velocity cone has no direction, for "oriented" and "conservative".
         face_groups: level of the tree whose nodes are the face groups: 0 = one group, each level has `arity` times as many.
             "mezger" cones prune only what lies in groups that all touch; lazy update and coherence go group by group.

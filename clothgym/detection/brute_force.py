@@ -13,7 +13,7 @@ _LARGEST = 10_000
 
 
 class BruteForce:
-    """Same face as `Hierarchy`, without a tree: every pair of primitives whose boxes overlap, sorted, on all axes of the 26-DOP."""
+    """Same face as `Hierarchy`, without a tree: every pair of primitives whose 26-DOPs overlap, sorted by ids."""
 
     def __init__(self, surface: Surface, vertices: FloatArray, k: int = 0, arity: int = 0) -> None:
         self.surface = surface

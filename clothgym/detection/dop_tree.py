@@ -54,10 +54,12 @@ class DopTree:
         border_start, border = np.zeros(nodes + 1, np.int64), np.zeros(0, np.int32)
         if regions:
             border_start, border = self._outlines(start, count, face, vertex_count)
-        cliques = _cliques(group, start, count, adjacent)
+        component = components(self.corners, vertex_count)
+        whole = _whole(component, start, count, face)
         self.tree = dop_traversal.Tree(
-            start, count, face, group, cliques, adjacent, self.corners, border_start, border, *self._room(nodes)
-        )
+            start, count, face, group, _cliques(group, start, count, adjacent) & whole, adjacent, component, self.corners,
+            border_start, border, *self._room(nodes),
+        )  # fmt: skip
         self.polygon_group = polygon_group
 
     def _room(self, nodes: int) -> tuple[Any, ...]:
@@ -70,7 +72,7 @@ class DopTree:
 
     def with_room(self) -> dop_traversal.Tree:
         """The same tree with boxes and cones of its own."""
-        return dop_traversal.Tree(*self.tree[:9], *self._room(len(self.tree.child_count)))
+        return dop_traversal.Tree(*self.tree[:10], *self._room(len(self.tree.child_count)))
 
     def _build(self, centres: FloatArray, arity: int) -> tuple[Any, Any, Any]:
         count = len(centres)
@@ -158,6 +160,26 @@ def _members(polygon_group: Any, corners: IntArray, vertex_count: int, groups: i
     member = csc_array((np.ones(len(keys), np.int32), (rows, columns)), shape=(vertex_count, groups))
     start = np.searchsorted(columns, np.arange(groups + 1)).astype(np.int64)
     return member, start, np.ascontiguousarray(rows, np.int64)
+
+
+def components(corners: IntArray, vertex_count: int) -> Any:
+    """(P,) int32 connected component of each polygon."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.repeat(corners[:, 0], corners.shape[1] - 1), corners[:, 1:].ravel()
+    graph = coo_array((np.ones(len(ends[0]), np.int8), ends), shape=(vertex_count, vertex_count))
+    return connected_components(graph, directed=False)[1].astype(np.int32)[corners[:, 0]]
+
+
+def _whole(component: Any, start: Any, count: Any, face: Any) -> Any:
+    """(N,) whether all polygons of a node hang together: layers above each other have the same normals."""
+    low, high = np.zeros(len(start), np.int32), np.zeros(len(start), np.int32)
+    for node in range(len(start) - 1, -1, -1):
+        children = slice(start[node], start[node] + count[node])
+        low[node] = component[face[node]] if count[node] == 0 else low[children].min()
+        high[node] = component[face[node]] if count[node] == 0 else high[children].max()
+    return (low == high).astype(np.uint8)
 
 
 def _cliques(group: Any, start: Any, count: Any, adjacent: Any) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
-from clothgym.detection.dop_tree import DopTree
+from clothgym.detection.dop_tree import DopTree, components
 from clothgym.detection.dop_view import DopView, Kept
 from clothgym.fidelity import Fidelity
 from clothgym.kernels import dop_pairs, dop_traversal
@@ -42,9 +42,9 @@ class MezgerHierarchy:
 
     Attributes:
         vertex_face, edge_edge, edge_face, counts, box_tests: as `Hierarchy`.
-        counters: sums since the tree was made, of box_tests, leaf_pairs (pairs of faces), cone_tests, cone_pruned, filtered (by
-            the leaf angle), reused_groups (pairs of them), stops, outline_tests, refits (nodes), primitive_tests (closest points
-            computed here), reused_pairs (of primitives) and trees_built.
+        counters: sums since it was made, of box_tests, leaf_pairs (pairs of faces), cone_tests, cone_pruned, filtered (by the
+            leaf angle), reused_groups (pairs of them), stops, outline_tests, refits (nodes), primitive_tests (closest points
+            that it computes), reused_pairs (of primitives) and trees_built.
 
     Raises:
         ValueError: no face with three different vertices.
@@ -54,7 +54,7 @@ class MezgerHierarchy:
         self, surface: Surface, vertices: FloatArray, fidelity: Fidelity, places: FloatArray | None = None
     ) -> None:
         self.surface, self.fidelity = surface, fidelity
-        self._first = self._built(vertices if places is None else places)
+        self._first = self._built(vertices[surface.faces] if places is None else places, vertices)
         self._first_size = dop_pairs.tree_size(self._first.tree, vertices)
         self._stack = np.zeros((4096, 2), np.int64)
         self._pairs: IntArray = np.zeros((4096, 2), np.int32)
@@ -73,9 +73,11 @@ class MezgerHierarchy:
     def box_tests(self) -> int:
         return self.counters["box_tests"]
 
-    def _built(self, places: FloatArray) -> DopTree:
+    def _built(self, corners: FloatArray, x: FloatArray) -> DopTree:
         f, s = self.fidelity, self.surface
-        return DopTree(s.faces, s.vertex_count, places, f.k, f.arity, f.face_groups, f.cones == "exact")
+        return DopTree(
+            s.faces, s.vertex_count, laid_out(s, corners, x), f.k, f.arity, f.face_groups, f.cones == "exact"
+        )
 
     def forget(self) -> None:
         """Back to the first tree, without anything from earlier searches: results are the same, counters begin alike."""
@@ -93,7 +95,7 @@ class MezgerHierarchy:
     def renew(self, x: FloatArray) -> None:
         """A new tree over x (V, 3) if the nodes together have become `rebuild_growth` times as large as when it was made."""
         if dop_pairs.tree_size(self._tree.tree, x) > self.fidelity.rebuild_growth * self._size:
-            tree = self._built(x)
+            tree = self._built(x[self.surface.faces], x)
             self._adopt(tree, dop_pairs.tree_size(tree.tree, x))
             self.counters["trees_built"] += 1
 
@@ -193,36 +195,38 @@ class MezgerHierarchy:
 
 
 def pattern_corners(surface: Surface, rests: list[tuple[IntArray, FloatArray]]) -> FloatArray:
-    """(F, 3, 3) corners of all faces in the pattern, its pieces laid out in a row so that none lies over another [m].
+    """(F, 3, 3) corners of all faces in the pattern [m].
 
     Args:
         surface: of all cloths together.
         rests: faces (F, 3) and rest shape, (V, 3) or (F, 3, 3), of each cloth.
-
-    A piece is what hangs together in the pattern: a panel of a garment, or a whole cloth.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    corners = np.concatenate([rest[faces] if rest.ndim == 2 else rest for faces, rest in rests])
+    return corners[surface.face_ids]
 
-    corners = np.concatenate([rest[faces] if rest.ndim == 2 else rest for faces, rest in rests])[surface.face_ids]
+
+def laid_out(surface: Surface, corners: FloatArray, x: FloatArray) -> FloatArray:
+    """Corners (F, 3, 3) moved piece by piece, so far apart that a tree over them splits pieces from each other first.
+
+    A piece is what hangs together in these corners: a cloth, or a panel of a pattern. The paper has a hierarchy for every
+    object; here they are subtrees of one. Pieces are in the order of their places in x (V, 3) along the longest axis.
+    """
     named = np.concatenate([surface.faces.reshape(-1, 1), corners.reshape(-1, 3)], axis=1)
-    count, place = _unique_rows(named)
-    place = place.reshape(-1, 3)
-    ends = place[:, [0, 1, 0]].ravel(), place[:, [1, 2, 2]].ravel()
-    graph = coo_array((np.ones(len(ends[0]), np.int8), ends), shape=(count, count))
-    pieces, piece = connected_components(graph, directed=False)
-    piece = piece[place[:, 0]]
+    unique, place = np.unique(named, axis=0, return_inverse=True)
+    place = np.ascontiguousarray(place.reshape(-1, 3), np.int32)
+    piece = np.unique(components(place, len(unique)), return_inverse=True)[1].reshape(-1)
+    pieces = int(piece.max()) + 1
+    if pieces == 1:
+        return corners
+    sizes = np.bincount(piece)
+    centres = np.stack([np.bincount(piece, row) / sizes for row in x[surface.faces].mean(axis=1).T], axis=1)
+    rank = np.empty(pieces, np.int64)
+    rank[np.argsort(centres[:, np.ptp(centres, axis=0).argmax()], kind="stable")] = np.arange(pieces)
     low, high = np.full((pieces, 3), np.inf), np.full((pieces, 3), -np.inf)
     np.minimum.at(low, piece, corners.min(axis=1))
     np.maximum.at(high, piece, corners.max(axis=1))
-    widths = (high - low)[:, 0]
-    begin = np.concatenate([[0.0], np.cumsum(widths + 0.1 * widths.max())])[:-1]
+    # the digits of a number in base 2, read in base 4: the middle of every run of pieces lies in a gap
+    bits = np.arange(max(int(rank.max()).bit_length(), 1))
     shift = -low
-    shift[:, 0] += begin
+    shift[:, 0] += 4.0 * float((high - low).max()) * ((rank[:, None] >> bits & 1) * 4.0**bits).sum(axis=1)
     return corners + shift[piece][:, None, :]
-
-
-def _unique_rows(rows: FloatArray) -> tuple[int, Any]:
-    """How many different rows there are, and which one each is."""
-    unique, number = np.unique(rows, axis=0, return_inverse=True)
-    return len(unique), number.reshape(-1)

@@ -29,8 +29,9 @@ class Tree(NamedTuple):
     child_count: NDArray[np.int64]  # (N,) 0 = leaf
     node_face: NDArray[np.int64]  # (N,) polygon of a leaf, -1 inside
     node_group: NDArray[np.int32]  # (N,) face group, -1 = several
-    clique: NDArray[np.uint8]  # (N,) all groups below share vertices with each other
+    clique: NDArray[np.uint8]  # (N,) all groups below share vertices with each other, and all polygons hang together
     group_adjacent: NDArray[np.uint8]  # (G, G)
+    component: NDArray[np.int32]  # (P,) connected component
     corners: NDArray[np.int32]  # (P, 4) a triangle repeats its last one
     border_start: NDArray[np.int64]  # (N + 1,)
     border: NDArray[np.int32]  # vertices around each region in order; none where the outline is no single loop
@@ -181,6 +182,8 @@ def traverse(a, b, same, x, lengths, rules, skip, start, stack, pairs, stops, co
                     skipped = False
                     if same == 1 and rules.leaf_angle > 0.0:
                         adjacent = a.group_adjacent[group_a[i], group_a[j]]
+                        if a.component[face_a[i]] != a.component[face_a[j]]:
+                            adjacent = np.uint8(0)
                         p_corners = corners_a[face_a[i]]
                         q_corners = corners_a[face_a[j]]
                         skipped = _insignificant(adjacent, a.normal_axis, p_corners, q_corners, i, j, least)

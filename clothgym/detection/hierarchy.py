@@ -49,7 +49,6 @@ class Hierarchy:
         self._ways = np.empty((len(vertices), 2 * len(self._axes)), np.float32)
         self._stack = np.empty((arity * len(self.clusters.levels), 2), np.int64)
         self._leaves = np.empty(len(self.clusters.edge_start), np.int64)
-        self._pairs: IntArray = np.empty((64, 2), np.int32)
         self.vertex_face: IntArray = np.empty((4 * count + 64, 2), np.int32)
         self.edge_edge: IntArray = np.empty((12 * count + 64, 2), np.int32)
         self.edge_face: IntArray = np.empty((64, 2), np.int32)
@@ -82,15 +81,6 @@ class Hierarchy:
         """(C, 2) edges and faces that may intersect: a search for nothing else; valid until the next one."""
         self.search(near=False, hits=True)
         return self.edge_face[: self.counts[2]]
-
-    def self_pairs(self) -> IntArray:
-        """(C, 2) candidate face pairs a < b whose boxes overlap; valid until the next call."""
-        while True:
-            found, tests = clusters.face_pairs(self.clusters, self._stack, self._leaves, self._pairs)
-            if found <= len(self._pairs):
-                self.box_tests += tests
-                return self._pairs[:found]
-            self._pairs = np.empty((int(1.3 * found) + 64, 2), np.int32)
 
 
 def _clusters(surface: Surface, order: NDArray[np.int64], rows: int, arity: int) -> clusters.Clusters:

@@ -13,7 +13,7 @@ from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.kernels import contour as contour_kernels
 from clothgym.kernels import proximity
-from clothgym.mesh import Surface, SurfaceArrays, as_surface
+from clothgym.mesh import Surface, as_surface
 
 _K, _ARITY = 6, 16
 """Of a surface's own tree: measured the fastest for single queries."""
@@ -60,8 +60,8 @@ class Intersections:
     Args:
         vertices: (V, 3) [m], not copied.
         surface: topology.
-        pairs: (C, 2) pairs of faces that may intersect, or instead
-        edge_face: (C, 2) pairs of an edge and a face without a common vertex that may (`Hierarchy.search`); reordered.
+        edge_face: (C, 2) pairs of an edge and a face without a common vertex that may intersect (`Hierarchy.search`);
+            reordered.
 
     Attributes:
         edge_triangle: (H, 3) e0, e1 (e0 < e1), face id; sorted.
@@ -75,15 +75,11 @@ class Intersections:
         edge_triangle_tests: exact tests that were made.
     """
 
-    def __init__(
-        self, vertices: FloatArray, surface: Surface, pairs: IntArray | None = None, edge_face: IntArray | None = None
-    ) -> None:
+    def __init__(self, vertices: FloatArray, surface: Surface, edge_face: IntArray) -> None:
         self.vertices = vertices
         self.surface = surface
         self.skipped_faces = surface.skipped_faces
         s = surface.arrays
-        if edge_face is None:
-            edge_face = _edges_against_faces(vertices, s, pairs)
         keys = np.empty(max(64, len(surface.faces) // 8), np.int64)
         # predicates multiply three coordinates: scaled by a power of two, their roundings stay far from over- and underflow
         largest = float(np.abs(vertices).max()) if len(vertices) else 0.0
@@ -314,18 +310,6 @@ def proximities(vertices: Any, faces: Any = None, distance: float | None = None)
     proximity.arrange(tree.vertex_face, point_gaps, np.empty(len(x) + 2, np.int32), face_names, vt, vt_gaps)
     proximity.arrange(tree.edge_edge, line_gaps, np.empty(len(edges) + 2, np.int32), edges, ee, ee_gaps)
     return Proximities(vt, vt_gaps, ee, ee_gaps, surface.skipped_faces)
-
-
-def _edges_against_faces(vertices: FloatArray, s: SurfaceArrays, pairs: Any) -> IntArray:
-    """Pairs of an edge and a face out of pairs of faces."""
-    edge_face = np.empty((max(64, 2 * len(pairs)), 2), np.int32)
-    while True:
-        found = contour_kernels.edges_against_faces(
-            vertices, s.faces, s.face_edges, s.edges, s.edge_owner, pairs, edge_face
-        )
-        if found <= len(edge_face):
-            return edge_face[:found]
-        edge_face = np.empty((found, 2), np.int32)
 
 
 def _search(surface: Surface, vertices: FloatArray, radius: float, near: bool) -> Hierarchy:

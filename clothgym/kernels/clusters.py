@@ -329,29 +329,3 @@ def primitive_pairs(clusters, near, hits, counts, stack, leaves, vertex_face, ed
     if hits:
         counts[2] = crossings
     counts[3] = work
-
-
-@kernel
-def face_pairs(clusters, stack, leaves, pairs):
-    """Pairs of faces a < b whose boxes overlap, shared vertices or not; as many as fit into pairs (C, 2) are written.
-
-    Returns how many there are, and the number of tests of a box against a block.
-    """
-    arity = clusters.arity
-    found = np.int64(0)
-    work = np.int64(0)
-    for i in range(clusters.edge_start.shape[0] - 1):
-        beside, tests = _leaves_near(clusters, i, stack, leaves)
-        work += tests
-        for other in range(beside):
-            j = leaves[other]
-            found, tests = _cross(
-                clusters, i, i + 1, j, j + 1, i == j, True, clusters.levels[0] + j // arity, j % arity, pairs, found
-            )
-            work += tests
-    for n in range(min(found, pairs.shape[0])):
-        a = pairs[n, 0]
-        b = pairs[n, 1]
-        pairs[n, 0] = min(a, b)
-        pairs[n, 1] = max(a, b)
-    return found, work

@@ -212,9 +212,9 @@ def laid_out(surface: Surface, corners: FloatArray, x: FloatArray) -> FloatArray
     object; here they are subtrees of one. Pieces are in the order of their places in x (V, 3) along the longest axis.
     """
     named = np.concatenate([surface.faces.reshape(-1, 1), corners.reshape(-1, 3)], axis=1)
-    unique, place = np.unique(named, axis=0, return_inverse=True)
-    place = np.ascontiguousarray(place.reshape(-1, 3), np.int32)
-    piece = np.unique(components(place, len(unique)), return_inverse=True)[1].reshape(-1)
+    unique, inverse = np.unique(named, axis=0, return_inverse=True)
+    place: IntArray = np.ascontiguousarray(inverse.reshape(-1, 3), np.int32)
+    _, piece = np.unique(components(place, len(unique)), return_inverse=True)
     pieces = int(piece.max()) + 1
     if pieces == 1:
         return corners

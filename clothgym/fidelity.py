@@ -91,8 +91,8 @@ class Fidelity:
         separation_list: searches that resume where the last descent stopped, before one begins at the root again; 0 = all
             begin there. Misses nothing.
         build_space: "mezger" splits faces by where they are at the start ("pose") or in the "pattern": the rest shape.
-        rebuild_growth: a tree is made anew when its nodes together have grown by this factor; 0 = never. Costs sorted pairs
-            with "hierarchy", saves box tests where cloth crumples. Misses nothing.
+        rebuild_growth: a tree is made anew when the surface of its boxes has grown by this factor (a flat sheet's more than
+            doubles when it crumples); 0 = never. Costs sorted pairs with "hierarchy", may save box tests. Misses nothing.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
         untangling_passes: corrections a step.

@@ -90,7 +90,7 @@ def test_techniques_in_the_simulation(monkeypatch):
         if row["complete"]:
             assert row["missed"] == row["missed_hits"] == 0, name
             assert row["same_bits"] or name == "clusters of 16"
-        assert row["near"] > 100 and row["hits"] > 10 and 0.0 < row["finding"] < row["step"]
+        assert row["near"] > 100 and row["hits"] > 10 and 0.0 < row["detection"] < row["step"]
     assert rows["unoriented"]["missed"] > 0
     assert rows["plain"]["box_tests"] > rows["cones exact"]["box_tests"] > 0
     (table,) = mezger.tables([{"parameters": {"what": "simulation", "scene": "layers"}, "result": result}])

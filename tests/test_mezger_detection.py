@@ -342,6 +342,22 @@ def test_stored_barycentrics_bound_the_distance(kind):
     assert true <= set(chosen[:left].tolist()) and len(true) > 20 and left < count
 
 
+def test_the_size_of_a_tree_is_the_surface_of_its_boxes():
+    x, faces = meshes.crumple(6, 1)
+    surface = cg.Surface(faces, len(x))
+    sheet = MezgerHierarchy(surface, x, mezger(arity=2))
+    tree = sheet._tree.tree
+    below = [None] * len(tree.child_count)
+    total = 0.0
+    for node in range(len(below) - 1, -1, -1):
+        first, count = tree.child_start[node], tree.child_count[node]
+        inside = faces[tree.node_face[node]].tolist() if count == 0 else sum(below[first : first + count], [])
+        below[node] = inside
+        a, b, c = np.ptp(x[inside], axis=0)
+        total += a * b + b * c + c * a
+    assert dop_pairs.tree_size(tree, x) == pytest.approx(total)
+
+
 def test_candidates_report_what_was_counted_once():
     sim = cg.Simulation(SCENES["layers"][0](), mezger())
     sim.step(2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
+import time
 from typing import Any
 
 import clothgym as cg
@@ -38,57 +39,91 @@ TECHNIQUES: dict[str, dict[str, Any]] = {
 COMPLETE = tuple(name for name in TECHNIQUES if name not in ("oriented", "unoriented") and "cones mezger" not in name)
 """Those that promise to miss nothing."""
 
-_FINDING = ("tree", "face pairs", "intersections", "primitive pairs")
 _COUNTS = ("refits", "box_tests", "leaf_pairs", "cone_pruned", "box_pairs", "primitive_tests", "trees_built")
 
 
 def simulated(scene: str, steps: int, every: int) -> dict[str, Any]:
     """All techniques in simulations of their own, side by side; misses in every n-th step of a second run.
 
-    Returns rows of medians and means a step: `finding` and `step` [s], counts, pairs missed (`missed` of `near`, `missed_hits`
-    of `hits`), and whether the last state is that of "plain" to the last bit (those that miss nothing, clusters sorted).
+    Returns rows of medians and means a step, in processor time, which other programs hardly disturb: `update` of the hierarchy
+    and collision `test`, both together `detection`, and `step` [s]; counts, pairs missed (`missed` of `near`, `missed_hits` of
+    `hits`), and whether the last state is that of "plain" to the last bit (those that miss nothing, clusters sorted).
     """
     made = cg.scenes.make(scene)
-    runs = {name: cg.Simulation(made, _fidelity(settings)) for name, settings in TECHNIQUES.items()}
-    finding: dict[str, list[float]] = {name: [] for name in runs}
-    whole: dict[str, list[float]] = {name: [] for name in runs}
+    runs = {name: _Run(cg.Simulation(made, _fidelity(settings))) for name, settings in TECHNIQUES.items()}
     names = list(runs)
     for number in range(steps):
         turn = number % len(names)  # no configuration always comes after the same other
         for name in names[turn:] + names[:turn]:
-            before = _seconds(runs[name])
             runs[name].step()
-            after = _seconds(runs[name])
-            if number:  # the first step grows the buffers
-                finding[name].append(after[0] - before[0])
-                whole[name].append(after[1] - before[1])
     rows = {}
+    last = runs["plain"].simulation.state_hash()
     for name, run in runs.items():
-        work = run.metrics()["work"]
+        work = run.simulation.metrics()["work"]
         rows[name] = {
-            "finding": statistics.median(finding[name]),
-            "step": statistics.median(whole[name]),
+            **run.medians(),
             **{key: work.get(key, 0) / steps for key in _COUNTS},
-            "same_bits": run.state_hash() == runs["plain"].state_hash(),
+            "same_bits": run.simulation.state_hash() == last,
             "complete": name in COMPLETE,
             **_judged(made, TECHNIQUES[name], steps, every),
         }
-    return {"steps": steps, "faces": len(runs["plain"].faces), "rows": rows}
+    return {"steps": steps, "faces": len(runs["plain"].simulation.faces), "rows": rows}
+
+
+class _Timed:
+    """A detector whose calls are timed."""
+
+    def __init__(self, tree: Any) -> None:
+        self.tree = tree
+        self.update = self.test = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["tree"], name)
+
+    def refit(self, *places: Any) -> None:
+        started = time.process_time()
+        self.tree.refit(*places)
+        self.update += time.process_time() - started
+
+    def renew(self, x: Any) -> None:
+        started = time.process_time()
+        self.tree.renew(x)
+        self.update += time.process_time() - started
+
+    def search(self, near: bool, hits: bool) -> None:
+        started = time.process_time()
+        self.tree.search(near, hits)
+        self.test += time.process_time() - started
+
+    def edges_against_faces(self) -> Any:
+        self.search(near=False, hits=True)
+        return self.tree.edge_face[: self.tree.counts[2]]
+
+
+class _Run:
+    """A simulation that is timed step by step."""
+
+    def __init__(self, simulation: cg.Simulation) -> None:
+        self.simulation = simulation
+        candidates = simulation.pipeline.stages[-1].candidates  # type: ignore[attr-defined]
+        self.tree = candidates.tree = _Timed(candidates.tree)
+        self.seconds: list[tuple[float, float, float]] = []
+
+    def step(self) -> None:
+        update, test, started = self.tree.update, self.tree.test, time.process_time()
+        self.simulation.step()
+        self.seconds.append((self.tree.update - update, self.tree.test - test, time.process_time() - started))
+
+    def medians(self) -> dict[str, float]:
+        seconds = self.seconds[1:] or self.seconds  # the first step grows the buffers
+        update, test, step = (statistics.median(column) for column in zip(*seconds))
+        return {
+            "update": update, "test": test, "detection": statistics.median(s[0] + s[1] for s in seconds), "step": step,
+        }  # fmt: skip
 
 
 def _fidelity(settings: dict[str, Any]) -> cg.Fidelity:
     return dataclasses.replace(cg.Fidelity.preset("draft"), **settings)
-
-
-def _seconds(simulation: cg.Simulation) -> tuple[float, float]:
-    """What detection, and what all stages, have taken so far [s]."""
-    profile = {name: seconds for name, (_, seconds) in simulation.profile.items()}
-    found = sum(
-        seconds
-        for name, seconds in profile.items()
-        if name.endswith(": find again") or name.startswith(_FINDING)
-    )  # fmt: skip
-    return found, sum(profile[stage.name] for stage in simulation.pipeline.stages)
 
 
 def _judged(scene: cg.Scene, settings: dict[str, Any], steps: int, every: int) -> dict[str, int]:
@@ -106,21 +141,22 @@ def _judged(scene: cg.Scene, settings: dict[str, Any], steps: int, every: int) -
 def simulated_table(row: Row) -> Table:
     """The rows of one scene."""
     result = row["result"]
-    unit = result["rows"]["plain"]["finding"]
+    unit = result["rows"]["plain"]["detection"]
     cells = [
         (
-            name, 1e3 * r["finding"], r["finding"] / unit, 1e3 * r["step"], *(r[key] for key in _COUNTS),
+            name, *(1e3 * r[key] for key in ("update", "test", "step")), r["detection"] / unit, *(r[key] for key in _COUNTS),
             r["missed"], r["near"], r["missed_hits"], r["hits"], "yes" if r["same_bits"] else "no",
         )
         for name, r in result["rows"].items()
     ]  # fmt: skip
     columns = (
-        "configuration", "detection [ms]", "/ plain", "step [ms]", *_COUNTS,
+        "configuration", "update [ms]", "test [ms]", "step [ms]", "update + test / plain", *_COUNTS,
         "missed", "of near", "missed hits", "of hits", "bits of plain",
     )  # fmt: skip
     note = (
-        "Medians and counts a step; box tests of clusters are those against 16 at once. Misses against all pairs on the same "
-        "states. What misses nothing ends in the same bits; unsorted clusters differ by the order of pairs alone."
+        "Medians of processor time, and counts, a step; box tests of clusters are those against 16 at once. Misses against "
+        "all pairs on the same states. What misses nothing ends in the same bits; unsorted clusters differ by the order of "
+        "pairs alone."
     )
     title = f"In the simulation: {row['parameters']['scene']}, {result['faces']} faces, {result['steps']} steps"
     return Table(title, columns, cells, note)

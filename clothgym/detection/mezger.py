@@ -93,7 +93,7 @@ class MezgerHierarchy:
         self._view = self._resting
 
     def renew(self, x: FloatArray) -> None:
-        """A new tree over x (V, 3) if the nodes together have become `rebuild_growth` times as large as when it was made."""
+        """A new tree over x (V, 3) if the boxes have `rebuild_growth` times the surface that they began with."""
         if dop_pairs.tree_size(self._tree.tree, x) > self.fidelity.rebuild_growth * self._size:
             tree = self._built(x[self.surface.faces], x)
             self._adopt(tree, dop_pairs.tree_size(tree.tree, x))

@@ -15,7 +15,7 @@ class RebuiltHierarchy(Hierarchy):
 
     Args:
         surface, vertices, k, arity: as `Hierarchy`.
-        growth: a new tree is made when the leaves together are this many times as large as when the tree was made.
+        growth: a new tree is made when the boxes of the leaves have this many times the surface that they began with.
 
     Attributes:
         counters: box_tests and trees_built since the start.

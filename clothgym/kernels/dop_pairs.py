@@ -205,27 +205,31 @@ def still_near(x, u, radius, ways, faces, edges, kind, columns, keys, weights, s
 
 @kernel
 def tree_size(tree, x):
-    """Sum of the half perimeters of the tight axis-parallel boxes of all nodes of a `dop_traversal.Tree` [m]; x (V, 3)."""
-    count = len(tree.child_count)
+    """Sum over all nodes of a `dop_traversal.Tree` of half the surface of their tight axis-parallel boxes [m^2]; x (V, 3).
+
+    Uses the first six columns of `tree.boxes` as scratch.
+    """
+    boxes = tree.boxes
     total = 0.0
-    for k in range(3):
-        low = tree.speed_low  # scratch: rewritten whenever it is needed
-        high = tree.speed_high
-        for node in range(count - 1, -1, -1):
-            least = math.inf
-            most = -math.inf
+    for node in range(len(tree.child_count) - 1, -1, -1):
+        for k in range(3):
+            low = math.inf
+            high = -math.inf
             if tree.child_count[node] == 0:
                 for n in range(4):
                     at = x[tree.corners[tree.node_face[node], n], k]
-                    least = min(least, at)
-                    most = max(most, at)
+                    low = min(low, at)
+                    high = max(high, at)
             else:
                 for child in range(tree.child_start[node], tree.child_start[node] + tree.child_count[node]):
-                    least = min(least, low[child])
-                    most = max(most, high[child])
-            low[node] = least
-            high[node] = most
-            total += most - least
+                    low = min(low, boxes[child, 2 * k])
+                    high = max(high, boxes[child, 2 * k + 1])
+            boxes[node, 2 * k] = low
+            boxes[node, 2 * k + 1] = high
+        dx = boxes[node, 1] - boxes[node, 0]
+        dy = boxes[node, 3] - boxes[node, 2]
+        dz = boxes[node, 5] - boxes[node, 4]
+        total += dx * dy + dy * dz + dz * dx
     return total
 
 
@@ -233,16 +237,18 @@ def tree_size(tree, x):
 def leaf_size(ids, leaves, x):
     """The same for the leaves of `clusters.Clusters`: ids (B, 4, 16), of which the first `leaves` blocks hold faces."""
     total = 0.0
+    side = np.empty(3, np.float64)
     for block in range(leaves):
         for k in range(3):
-            least = math.inf
-            most = -math.inf
+            low = math.inf
+            high = -math.inf
             for n in range(ids.shape[2]):
                 if ids[block, 0, n] < 0:
                     break
                 for corner in range(1, 4):
                     at = x[ids[block, corner, n], k]
-                    least = min(least, at)
-                    most = max(most, at)
-            total += most - least
+                    low = min(low, at)
+                    high = max(high, at)
+            side[k] = high - low
+        total += side[0] * side[1] + side[1] * side[2] + side[2] * side[0]
     return total

@@ -351,7 +351,7 @@ def test_the_size_of_a_tree_is_the_surface_of_its_boxes():
     total = 0.0
     for node in range(len(below) - 1, -1, -1):
         first, count = tree.child_start[node], tree.child_count[node]
-        inside = faces[tree.node_face[node]].tolist() if count == 0 else sum(below[first : first + count], [])
+        inside = faces[tree.node_face[node]] if count == 0 else np.concatenate(below[first : first + count])
         below[node] = inside
         a, b, c = np.ptp(x[inside], axis=0)
         total += a * b + b * c + c * a

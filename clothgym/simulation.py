@@ -59,6 +59,7 @@ class Simulation:
         self._grip_forces: FloatArray = np.zeros((grips, 3))
         self._body_forces: FloatArray = np.zeros((self.model.vertex_count if self.scene.bodies else 0, 3))
         self._intersections: Any = None
+        self.pipeline.forget()
         for entry in self.pipeline.profile.values():
             entry[:] = [0, 0.0]
 
@@ -261,6 +262,7 @@ class Simulation:
     def _restore(self, snapshot: ClothState) -> None:
         self._state = snapshot.copy()
         self._frame.state = self._state
+        self.pipeline.forget()
         self._intersections = None
 
     def state_hash(self) -> str:

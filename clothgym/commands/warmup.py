@@ -77,7 +77,7 @@ def _geometry() -> None:
     surface = cg.Surface(faces)
     tree = Hierarchy(surface, vertices)
     tree.refit(vertices, vertices, 0.0)
-    Intersections(vertices, surface, tree.self_pairs())
+    Intersections(vertices, surface, tree.edges_against_faces())
     for strategy in ("local", "global", "hybrid"):
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
 
@@ -119,8 +119,12 @@ def _contact() -> None:
     import clothgym as cg
 
     scene = cg.scenes.make("squares", count=2)
-    for fidelity in ("draft", dataclasses.replace(cg.Fidelity.preset("draft"), detection="brute_force")):
-        _steps(scene, fidelity)
+    draft = cg.Fidelity.preset("draft")
+    mezger = {"detection": "mezger", "lazy": 1e-4, "rebuild_growth": 1e-3}
+    for settings in (
+        {}, {"rebuild_growth": 1e-3}, {"detection": "brute_force"}, mezger, {**mezger, "coherence": 1e-3},
+    ):  # fmt: skip
+        _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()
     crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
     for near_hits in ("keep", "off_any", "off_both"):

@@ -528,6 +528,8 @@ GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
+    "membrane": (pile, CONTACT, "continuum", 0, "state"),
+    "bending": (pile, CONTACT, "hinge", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
     "sweeps": (pile, CONTACT, 6, 0, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),

@@ -126,8 +126,8 @@ def _energies() -> None:
         elastic.elastic_forces(x, arrays, np.zeros_like(x))
         elastic.spring_hessian(x, arrays, np.zeros((len(arrays.spring_ends), 2, 2, 3, 3)))
         membrane.membrane_hessian(x, arrays, np.zeros((len(arrays.membrane.faces), 3, 3, 3, 3)))
-        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 6, 6, 3, 3)))
-        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 6, 6, 3, 3)))
+        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 12, 12, 3, 3)))
+        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 12, 12, 3, 3)))
 
 
 def _contact() -> None:

@@ -98,6 +98,7 @@ class BendingPatches:
         hinges: of the rest shape.
         stencils, numbers, local, reach: as `stencils`, `hinges`, `local`, `reach` of `HingeArrays`.
         curvatures: (N, 3, 9) [1/m]: applied to the angles of its hinges, the curvature of a face along weft and warp.
+        sides: (N, 9) 1 where the first face of a hinge and the triangle look to the same side, else -1.
         areas: (N,) [m^2].
     """
 
@@ -113,6 +114,7 @@ class BendingPatches:
         numbers[:, :3] = of_face[own]
         self.stencils: IntArray = np.repeat(triangles[:, :1], 12, axis=1)
         self.stencils[:, :3] = triangles
+        self.sides: FloatArray = np.ones((count, 9))
         split = np.zeros((count, 3, 9))  # the share of each own edge, from all angles
         weights = self._share_weights()
         for i in range(3):
@@ -122,19 +124,23 @@ class BendingPatches:
             other = 1 - second.astype(int)
             neighbour, side = hinges.faces[h, other], hinges.sides[h, other]
             self.stencils[there, 3 + i] = hinges.vertices[h, 2 + other]
+            turned = np.where(second, hinges.agree[h], 1)
+            self.sides[there, i] = turned
             places = [i, (i + 1) % 3, (i + 2) % 3, 3 + 2 * i, 4 + 2 * i]
             for k in range(2):
                 far = of_face[neighbour, (side + 1 + k) % 3]
                 numbers[there, places[3 + k]] = far
                 seen = far != _NO
-                beyond = 2 + (hinges.faces[far, 0] == neighbour)
+                second_there = hinges.faces[far, 0] != neighbour
+                self.sides[there, places[3 + k]] = hinges.agree[h] * np.where(second_there, hinges.agree[far], 1)
+                beyond = 2 + ~second_there
                 self.stencils[there[seen], 6 + 2 * i + k] = hinges.vertices[far, beyond][seen]
             # the other face's hinges come last in the list of the first face, and the other way round
             order = np.where(second[:, None], [0, 3, 4, 1, 2], [0, 1, 2, 3, 4])
             sign = np.where(second, -1.0, 1.0)[:, None]
             split[there[:, None], i, places] += sign * np.take_along_axis(weights[h], order, axis=1)
             split[there, i, i] += 0.5
-            split[there, i] *= np.where(second, hinges.agree[h], 1)[:, None]
+            split[there, i] *= turned[:, None]
         self.curvatures: FloatArray = self._edge_curvatures(numbers[:, :3] != _NO) @ split
         self.curvatures *= (numbers != _NO)[:, None, :]
         far_weight = np.abs(self.curvatures[:, :, 3:]).max(axis=(1, 2), initial=0.0)
@@ -208,8 +214,8 @@ class BendingPatches:
         )
 
     def quadratic_arrays(self, material: Material) -> QuadraticArrays:
-        """Arrays of `bending` = "quadratic", which is flat at rest."""
-        by_angle = self._rigidity(material) * self.curvatures
+        """Arrays of `bending` = "quadratic", which is flat at rest; jumps are vectors, which know no sides."""
+        by_angle = self._rigidity(material) * self.curvatures * self.sides[:, None, :]
         weights = np.zeros((len(self.areas), 3, 12))
         rows = np.arange(len(self.areas))
         for k in range(9):

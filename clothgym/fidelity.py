@@ -11,6 +11,8 @@ from typing import Any
 from clothgym.arrays import check_choice, check_number
 
 INTEGRATORS = ("xpbd", "symplectic_euler")
+MEMBRANES = ("springs", "continuum")
+BENDINGS = ("flexion", "hinge", "quadratic", "none")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force", "mezger")
 INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
@@ -64,6 +66,10 @@ class Fidelity:
 
     Attributes:
         integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
+        membrane: what resists stretch and shear: "springs" as the paper, or a "continuum" of triangles with the moduli of the
+            material along weft and warp, whose stiffness does not depend on the mesh.
+        bending: "flexion" springs as the paper, which have no linear bending stiffness; "hinge" angles with the material's
+            bending rigidity; "quadratic" in the positions, cheaper, for cloth that is flat at rest; or "none".
         substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler asks for (XPBD: 8).
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
@@ -119,6 +125,8 @@ class Fidelity:
     """
 
     integrator: str = "xpbd"
+    membrane: str = "springs"
+    bending: str = "flexion"
     substeps: int = 8
     sweeps: int = 8
     velocity_modification: str = "none"
@@ -157,6 +165,8 @@ class Fidelity:
 
     def __post_init__(self) -> None:
         check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
+        check_choice(self.membrane, "fidelity.membrane", MEMBRANES)
+        check_choice(self.bending, "fidelity.bending", BENDINGS)
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
         check_choice(self.inflation, "fidelity.inflation", INFLATIONS)
@@ -189,6 +199,11 @@ class Fidelity:
                 raise ValueError(
                     f"fidelity.{field} = {getattr(self, field)!r}: works with {other} {' or '.join(map(repr, values))} only"
                 )
+        if self.velocity_modification != "none" and self.membrane != "springs":
+            raise ValueError(
+                f"fidelity.velocity_modification = {self.velocity_modification!r}: acts on springs; membrane = "
+                f"{self.membrane!r} has none"
+            )
 
     @staticmethod
     def preset(name: str) -> Fidelity:

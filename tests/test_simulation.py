@@ -543,6 +543,8 @@ MEZGER = dataclasses.replace(CONTACT, detection="mezger")
 CURVATURE = dataclasses.replace(MEZGER, cones="mezger")
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
+    "membrane": (pile, CONTACT, "continuum", 0, "state"),
+    "bending": (pile, CONTACT, "hinge", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
     "sweeps": (pile, CONTACT, 6, 0, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),

@@ -115,6 +115,21 @@ def _sheet() -> None:
         _steps(scene, dataclasses.replace(euler, velocity_modification=modification))
 
 
+def _energies() -> None:
+    import clothgym as cg
+    from clothgym.kernels import bending, elastic, membrane
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    for kind in ("hinge", "quadratic"):
+        fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), membrane="continuum", bending=kind)
+        x, arrays = scene.start, cg.Simulation(scene, fidelity).model.arrays
+        elastic.elastic_forces(x, arrays, np.zeros_like(x))
+        elastic.spring_hessian(x, arrays, np.zeros((len(arrays.spring_ends), 2, 2, 3, 3)))
+        membrane.membrane_hessian(x, arrays, np.zeros((len(arrays.membrane.faces), 3, 3, 3, 3)))
+        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 12, 12, 3, 3)))
+        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 12, 12, 3, 3)))
+
+
 def _contact() -> None:
     import clothgym as cg
 
@@ -211,6 +226,7 @@ def _pictures() -> None:
 PARTS: dict[str, Callable[[], None]] = {
     "geometry": _geometry,
     "sheet": _sheet,
+    "energies": _energies,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
     "sides": _sides,

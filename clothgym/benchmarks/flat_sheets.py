@@ -114,7 +114,7 @@ def table(rows: list[Row]) -> Table:
         "same state",
     )
     note = (
-        "processor time of a step of hanging_sheet at balanced; the check decides that the sheet is a height field and stays one, the search is "
-        "the same run with flat_check off; the states of both are compared bit by bit"
+        "processor time of a step of hanging_sheet at balanced; the check decides that the sheet is a height field and stays "
+        "one, the search is the same run with flat_check off; the states of both are compared bit by bit"
     )
     return Table("A flat sheet that cannot touch itself", columns, cells, note)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +13,13 @@ import numpy as np
 from clothgym.arrays import check_choice, check_flag, check_number, shown
 
 INTEGRATORS = ("xpbd", "symplectic_euler")
+MEMBRANES = ("springs", "continuum")
+BENDINGS = ("flexion", "hinge", "quadratic", "none")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
-DETECTIONS = ("hierarchy", "brute_force")
+DETECTIONS = ("hierarchy", "brute_force", "mezger")
+INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
+CONES = ("none", "mezger", "exact")
+BUILD_SPACES = ("pose", "pattern")
 BODY_RESPONSES = ("coulomb", "velocity")
 BODY_NORMALS = ("face", "interpolated")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
@@ -27,6 +33,14 @@ _RANGES = {
     "substeps": (0, MOST_SUBSTEPS, True),
     "sweeps": (1, 10_000, True),
     "stretch_limit": (0.0, 10.0, False),
+    "close_angle": (0.0, math.pi, False),
+    "leaf_angle": (0.0, math.pi, False),
+    "wide_angle": (0.0, math.pi, False),
+    "face_groups": (0, 6, True),
+    "lazy": (0.0, 1.0, False),
+    "coherence": (0.0, 1.0, False),
+    "separation_list": (0, 1000, True),
+    "rebuild_growth": (0.0, 1e6, False),
     "repair_rounds": (0, 1000, True),
     "untangling_passes": (1, 1000, True),
     "h0": (1e-6, 100.0, False),
@@ -40,6 +54,16 @@ _RANGES = {
     "body_faces": (0, 16, True),
 }
 
+_WORKS_WITH = {
+    **dict.fromkeys(("inflation", "cones", "face_groups", "lazy"), ("detection", ("mezger",))),
+    **dict.fromkeys(("coherence", "separation_list", "build_space"), ("detection", ("mezger",))),
+    "rebuild_growth": ("detection", ("hierarchy", "mezger")),
+    "close_angle": ("cones", ("mezger",)),
+    "leaf_angle": ("cones", ("mezger",)),
+    "wide_angle": ("inflation", ("oriented", "conservative")),
+}
+"""Fields that would do nothing but with these values of another."""
+
 
 @dataclass(frozen=True)
 class Fidelity:
@@ -47,15 +71,41 @@ class Fidelity:
 
     Attributes:
         integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
+        membrane: what resists stretch and shear: "springs" as the paper, or a "continuum" of triangles with the moduli of the
+            material along weft and warp, whose stiffness does not depend on the mesh.
+        bending: "flexion" springs as the paper, which have no linear bending stiffness; "hinge" angles with the material's
+            bending rigidity; "quadratic" in the positions, cheaper, for cloth that is flat at rest; or "none".
         substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler asks for (XPBD: 8).
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
         stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
-        detection: "hierarchy" (k-DOP tree) or "brute_force".
+        detection: "hierarchy" (k-DOP tree of clusters, the fastest), "brute_force" (every pair), or "mezger": the tree of
+            [Mezger 2003] with one face a leaf and the techniques below. What they are, see `docs/papers.md`; what they cost and
+            miss, `clothgym bench mezger`; what they do, `metrics()["work"]`.
         k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
         arity: children a node: 2, 4, 8.
         flat_check: with the hierarchy, sheets that are height fields over a plane, and far from each other, are recognised
             without a search for pairs.
+        inflation: boxes of "mezger" hold the way of a step "swept" around both its ends, or "conservative": eq. 1 with the
+            half-angle of the velocity cone; both miss nothing. "oriented": eq. 1 as printed, which misses what leaves the axis
+            of its cone; "unoriented": places without ways, the least box tests, misses what is fast.
+        cones: self-collision of regions is left out by "none", by "mezger"'s curvature criterion, which misses regions whose
+            outlines fold over themselves and sharp bends, or "exact", with the outline, which misses nothing.
+        close_angle: apex angle [rad] from which "mezger" cones look for self-collision; smaller misses less, tests more.
+        leaf_angle: with "mezger" cones, least angle [rad] of two faces in the same or adjacent groups; two with a common vertex
+            are left out too. 0 = all are tested; larger is faster and misses more.
+        wide_angle: half-angle [rad] from which a velocity cone has no direction, for "oriented" and "conservative".
+        face_groups: level of the tree whose nodes are the face groups: 0 = one group, each level has `arity` times as many.
+            "mezger" cones prune only what lies in groups that all touch; lazy update and coherence go group by group.
+        lazy: b [m]: boxes are b wider, and those of a group are refitted when a vertex is more than b from where they saw
+            it: proximities of eps + 2 b are looked for, so that those of eps are found. 0 = always. Misses nothing.
+        coherence: relative way [m] of two groups within which their last pairs are used again, with the barycentrics of
+            their closest points; boxes are half of it wider. 0 = never. Misses nothing.
+        separation_list: searches that resume where the last descent stopped, before one begins at the root again; 0 = all
+            begin there. Misses nothing.
+        build_space: "mezger" splits faces by where they are at the start ("pose") or in the "pattern": the rest shape.
+        rebuild_growth: a tree is made anew when the surface of its boxes has grown by this factor (a flat sheet's more than
+            doubles when it crumples); 0 = never. Costs sorted pairs with "hierarchy", may save box tests. Misses nothing.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
             other as `tunnel_events`; nothing else changes. Costs about a tenth of a step with contact.
@@ -80,6 +130,8 @@ class Fidelity:
     """
 
     integrator: str = "xpbd"
+    membrane: str = "springs"
+    bending: str = "flexion"
     substeps: int = 8
     sweeps: int = 8
     velocity_modification: str = "none"
@@ -88,6 +140,17 @@ class Fidelity:
     k: int = 18
     arity: int = 4
     flat_check: bool = True
+    inflation: str = "swept"
+    cones: str = "exact"
+    close_angle: float = 0.5 * math.pi
+    leaf_angle: float = 0.0
+    wide_angle: float = math.pi / 3.0
+    face_groups: int = 2
+    lazy: float = 0.0
+    coherence: float = 0.0
+    separation_list: int = 0
+    build_space: str = "pose"
+    rebuild_growth: float = 0.0
     repair_rounds: int = 8
     continuous: bool = False
     untangling: str = "hybrid"
@@ -107,8 +170,13 @@ class Fidelity:
 
     def __post_init__(self) -> None:
         check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
+        check_choice(self.membrane, "fidelity.membrane", MEMBRANES)
+        check_choice(self.bending, "fidelity.bending", BENDINGS)
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
+        check_choice(self.inflation, "fidelity.inflation", INFLATIONS)
+        check_choice(self.cones, "fidelity.cones", CONES)
+        check_choice(self.build_space, "fidelity.build_space", BUILD_SPACES)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
         check_choice(self.body_normals, "fidelity.body_normals", BODY_NORMALS)
         check_choice(self.body_response, "fidelity.body_response", BODY_RESPONSES)
@@ -128,6 +196,16 @@ class Fidelity:
             raise ValueError(
                 f"fidelity.velocity_modification = {self.velocity_modification!r}: works with integrator "
                 "'symplectic_euler' only; XPBD limits strain by its constraints"
+            )
+        for field, (other, values) in _WORKS_WITH.items():
+            if getattr(self, field) != getattr(Fidelity, field) and getattr(self, other) not in values:
+                raise ValueError(
+                    f"fidelity.{field} = {getattr(self, field)!r}: works with {other} {' or '.join(map(repr, values))} only"
+                )
+        if self.velocity_modification != "none" and self.membrane != "springs":
+            raise ValueError(
+                f"fidelity.velocity_modification = {self.velocity_modification!r}: acts on springs; membrane = "
+                f"{self.membrane!r} has none"
             )
 
     @staticmethod

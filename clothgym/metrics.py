@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from clothgym.arrays import FloatArray
+from clothgym.kernels.elastic import elastic_energy
 from clothgym.model import ClothModel
 from clothgym.state import ClothState
 
@@ -51,10 +52,8 @@ def gravity_energy(model: ClothModel, x: FloatArray) -> float:
 
 
 def potential_energy(model: ClothModel, x: FloatArray) -> float:
-    """Gravity and springs [J]; zero for the unstrained cloth at the origin."""
-    lengths = np.linalg.norm(x[model.spring_ends[:, 1]] - x[model.spring_ends[:, 0]], axis=1)
-    springs = 0.5 * (model.spring_stiffness * (lengths - model.spring_rest) ** 2).sum()
-    return float(springs) + gravity_energy(model, x)
+    """Gravity, springs, membrane and bending [J]; zero for the unstrained cloth at the origin."""
+    return float(sum(elastic_energy(x, model.arrays))) + gravity_energy(model, x)
 
 
 def flags(model: ClothModel, x: FloatArray, v: FloatArray, dt: float) -> tuple[str, ...]:

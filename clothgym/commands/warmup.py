@@ -77,7 +77,7 @@ def _geometry() -> None:
     surface = cg.Surface(faces)
     tree = Hierarchy(surface, vertices)
     tree.refit(vertices, vertices, 0.0)
-    Intersections(vertices, surface, tree.self_pairs())
+    Intersections(vertices, surface, tree.edges_against_faces())
     for strategy in ("local", "global", "hybrid"):
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
 
@@ -115,12 +115,31 @@ def _sheet() -> None:
         _steps(scene, dataclasses.replace(euler, velocity_modification=modification))
 
 
+def _energies() -> None:
+    import clothgym as cg
+    from clothgym.kernels import bending, elastic, membrane
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    for kind in ("hinge", "quadratic"):
+        fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), membrane="continuum", bending=kind)
+        x, arrays = scene.start, cg.Simulation(scene, fidelity).model.arrays
+        elastic.elastic_forces(x, arrays, np.zeros_like(x))
+        elastic.spring_hessian(x, arrays, np.zeros((len(arrays.spring_ends), 2, 2, 3, 3)))
+        membrane.membrane_hessian(x, arrays, np.zeros((len(arrays.membrane.faces), 3, 3, 3, 3)))
+        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 12, 12, 3, 3)))
+        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 12, 12, 3, 3)))
+
+
 def _contact() -> None:
     import clothgym as cg
 
     scene = cg.scenes.make("squares", count=2)
-    for fidelity in ("draft", dataclasses.replace(cg.Fidelity.preset("draft"), detection="brute_force")):
-        _steps(scene, fidelity)
+    draft = cg.Fidelity.preset("draft")
+    mezger = {"detection": "mezger", "lazy": 1e-4, "rebuild_growth": 1e-3}
+    for settings in (
+        {}, {"rebuild_growth": 1e-3}, {"detection": "brute_force"}, mezger, {**mezger, "coherence": 1e-3},
+    ):  # fmt: skip
+        _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()
     crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
     for near_hits in ("keep", "off_any", "off_both"):
@@ -207,6 +226,7 @@ def _pictures() -> None:
 PARTS: dict[str, Callable[[], None]] = {
     "geometry": _geometry,
     "sheet": _sheet,
+    "energies": _energies,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
     "sides": _sides,

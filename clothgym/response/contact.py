@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.height_field import HeightFields
 from clothgym.detection.hierarchy import Hierarchy
+from clothgym.detection.mezger import MezgerHierarchy
 from clothgym.kernels import contact, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.model import ClothModel
@@ -31,7 +34,9 @@ class Candidates:
     as long as it holds.
     """
 
-    def __init__(self, model: ClothModel, tree: Hierarchy | BruteForce, flat_check: bool = False) -> None:
+    def __init__(
+        self, model: ClothModel, tree: Hierarchy | BruteForce | MezgerHierarchy, flat_check: bool = False
+    ) -> None:
         self.model, self.tree = model, tree
         sheets = HeightFields(model.surface, contact.ACTIVE * model.thickness) if flat_check else None
         self.sheets = sheets if sheets is not None and sheets.possible else None
@@ -46,6 +51,7 @@ class Candidates:
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
         self.gathered = 0
+        self._booked: dict[str, int] = {}
 
     @property
     def box_pairs(self) -> int:
@@ -58,6 +64,13 @@ class Candidates:
         if self.flat:
             self.horizon, self.count = horizon, 0
         return self.flat
+
+    def book(self, count: Callable[[str, int], None]) -> None:
+        """Reports what the tree has counted since the last time."""
+        for name, total in getattr(self.tree, "counters", {"box_tests": self.tree.box_tests}).items():
+            if total != self._booked.get(name, 0):
+                count(name, total - self._booked.get(name, 0))
+                self._booked[name] = total
 
     def expect(self, x: FloatArray, travel: FloatArray, horizon: int = 1) -> None:
         """Pairs of boxes for vertices that leave x along `travel` (V, 3) [m], in `horizon` substeps.

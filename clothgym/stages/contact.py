@@ -154,6 +154,7 @@ class ContactSubsteps:
             self._answer(frame)
             frame.clock(f"{self.name}: advance", now)
         frame.clamped += self._between_bodies()
+        found.book(frame.count)
 
     def _share_room(self, p: FloatArray) -> int:
         """Lets clamped vertices keep away from both sides alike; returns how many there are."""

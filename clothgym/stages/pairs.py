@@ -10,6 +10,20 @@ from clothgym.arrays import FloatArray
 from clothgym.stages.frame import Frame
 
 
+class Rebuild:
+    """A new tree where the old one has grown too loose."""
+
+    reads: tuple[str, ...] = ("positions",)
+    writes: tuple[str, ...] = ("tree",)
+
+    def __init__(self, candidates: Any, growth: float) -> None:
+        self.candidates = candidates
+        self.name = f"tree [rebuilt at {growth:g}x]"
+
+    def run(self, frame: Frame) -> None:
+        self.candidates.tree.renew(frame.state.positions)
+
+
 class FacePairs:
     """Pairs of primitives whose boxes, swept along the expected motion of the step, overlap."""
 

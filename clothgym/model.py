@@ -8,6 +8,7 @@ import numpy as np
 
 from clothgym import materials
 from clothgym.arrays import FloatArray, IntArray
+from clothgym.batches import by_colour
 from clothgym.kernels.springs import ClothArrays
 from clothgym.mesh import Surface
 from clothgym.rest import RestShape
@@ -22,7 +23,7 @@ class ClothModel:
     Attributes:
         surface: topology of all cloths together.
         masses: (V,) [kg]; inverse_masses: (V,) 0 = pinned.
-        springs: ends (S, 2), rest lengths (S,) [m], stiffness (S,) [N/m], kinds (S,).
+        springs: ends (S, 2), rest lengths (S,) [m], stiffness (S,) [N/m], kinds (S,); sorted by colour, see `batches`.
         edge_rest: (E,) rest length of every mesh edge [m]; mean_edge their mean.
         thickness: (V,) contact distance [m], never more than half the least altitude of the triangles around.
         friction, damping: mean over the cloths (one value acts on all of them).
@@ -72,10 +73,12 @@ class ClothModel:
         self.masses: FloatArray = np.concatenate(masses)
         self.inverse_masses = 1.0 / self.masses
         self.inverse_masses[pinned] = 0.0
-        self.spring_ends: IntArray = np.ascontiguousarray(np.concatenate(ends), np.int32)
-        self.spring_rest: FloatArray = np.concatenate(rest)
-        self.spring_stiffness: FloatArray = np.concatenate(stiffness)
-        self.spring_kinds: IntArray = np.concatenate(kinds)
+        all_ends = np.ascontiguousarray(np.concatenate(ends), np.int32)
+        order = by_colour(all_ends, offset)  # springs that stand together do not wait for each other
+        self.spring_ends: IntArray = np.ascontiguousarray(all_ends[order])
+        self.spring_rest: FloatArray = np.concatenate(rest)[order]
+        self.spring_stiffness: FloatArray = np.concatenate(stiffness)[order]
+        self.spring_kinds: IntArray = np.concatenate(kinds)[order]
         self.thickness: FloatArray = np.ascontiguousarray(np.concatenate(thickness))
         self.friction = float(np.mean(friction))
         self.damping = float(np.mean(damping))

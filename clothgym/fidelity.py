@@ -22,6 +22,8 @@ PRECISIONS = ("float64", "float32")
 _RANGES = {
     "substeps": (0, 100_000, True),
     "sweeps": (1, 10_000, True),
+    "contact_substeps": (1, 100_000, True),
+    "stretch_error": (1e-5, 10.0, False),
     "stretch_limit": (0.0, 10.0, False),
     "repair_rounds": (0, 1000, True),
     "untangling_passes": (1, 1000, True),
@@ -43,8 +45,12 @@ class Fidelity:
 
     Attributes:
         integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
-        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler asks for (XPBD: 8).
-        sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
+        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler, or the promise of XPBD, asks for.
+        sweeps: Gauss-Seidel sweeps over springs and contacts a substep; with contact and substeps = 0 the least number of
+            them, without contact chosen with the substeps.
+        stretch_error: the promise of XPBD, where substeps = 0: no spring between neighbours gets longer than in the
+            converged solution of the same material by more than this share of its length (see `promise`).
+        contact_substeps: of XPBD in scenes with contact, where substeps = 0; the promise then chooses the sweeps.
         precision: "float64", or "float32" for springs in scenes where cloth touches no cloth and no body: faster, and as
             good where the motion is not chaotic; positions and velocities stay float64 between steps.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
@@ -74,8 +80,10 @@ class Fidelity:
     """
 
     integrator: str = "xpbd"
-    substeps: int = 8
+    substeps: int = 0
     sweeps: int = 8
+    stretch_error: float = 0.03
+    contact_substeps: int = 8
     precision: str = "float64"
     velocity_modification: str = "none"
     stretch_limit: float = 0.1
@@ -134,6 +142,28 @@ class Fidelity:
             raise ValueError(f"fidelity = {name!r}: expected one of {', '.join(PRESETS)}, or a Fidelity")
         return PRESETS[name]
 
+    @staticmethod
+    def for_error(scene: Any, stretch: float) -> Fidelity:
+        """The cheapest preset for a scene, with a promise of its own: how much longer than in the converged solution of the
+        same material any spring between neighbours may get.
+
+        How much work that takes is chosen when the scene is assembled; `Simulation.pipeline.describe()` tells.
+
+        Args:
+            scene: a `Scene`.
+            stretch: share of the length, 1e-5 to 10; the presets promise 0.1, 0.03 and 0.005.
+
+        Raises:
+            ValueError: no scene, or a stretch out of range.
+        """
+        if not hasattr(scene, "cloths"):
+            raise ValueError(f"for_error: scene = {scene!r:.80}: expected a Scene")
+        low, high, _ = _RANGES["stretch_error"]
+        stretch = check_number(stretch, "for_error: stretch", low, high)
+        able = [p for p in PRESETS.values() if p.stretch_error <= stretch]
+        base = max(able, key=lambda p: p.stretch_error) if able else PRESETS["accurate"]
+        return dataclasses.replace(base, stretch_error=stretch)
+
     def to_json(self) -> str:
         """One JSON object with every field."""
         return json.dumps(dataclasses.asdict(self))
@@ -150,9 +180,9 @@ class Fidelity:
 
 
 PRESETS: dict[str, Fidelity] = {
-    "draft": Fidelity(substeps=4, sweeps=4, body_faces=1),
+    "draft": Fidelity(stretch_error=0.1, contact_substeps=4, sweeps=4, body_faces=1),
     "balanced": Fidelity(),
-    "accurate": Fidelity(substeps=16, sweeps=8, body_faces=4, map_size=720),
+    "accurate": Fidelity(stretch_error=0.005, contact_substeps=16, body_faces=4, map_size=720),
 }
 
 

@@ -24,6 +24,8 @@ class Integrator:
 
     Attributes:
         substeps: how many a step has.
+        sweeps: how many a substep has, over contacts and what is projected.
+        remark: for what the numbers were chosen, if they were.
         in_sweeps: whether the cloth's own forces are constraints, projected in every sweep of contact, and not in p yet.
         multipliers: (C,) of those constraints [N s^2]; (0,) without.
     """
@@ -31,6 +33,7 @@ class Integrator:
     in_sweeps = False
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        self.sweeps, self.remark = fidelity.sweeps, ""
         self.substeps = self._substeps(model, fidelity)
         self.multipliers = np.zeros(0)
 

@@ -1,8 +1,9 @@
 """How much work a promise about stretch takes: substeps and sweeps of XPBD from the loads that a scene can put on cloth.
 
-A spring under tension T, projected once a substep, comes to rest not where T = k C but where its correction makes up for
-what the substep adds: C = T (1 / k + dt^2 (w_i + w_j)). What it is too long by, T dt^2 (w_i + w_j), is that of any material,
-and over its length it is the excess stretch. Substeps divide it by their square, m sweeps in each of them by about m^0.9.
+A spring under tension T, projected once a substep, comes to rest where its correction makes up for what the substep adds:
+C = T (1 / k + dt^2 (w_i + w_j)) before it, T / k after it, and its neighbours' corrections lengthen it again. What it is too
+long by, up to about T dt^2 (w_i + w_j), is that of any material; over its length it is the excess stretch. Substeps divide
+it by their square, m sweeps in each of them by about m^0.9.
 
 The tension is that of the cloth at rest, times a measured factor for its motion. Cloth hangs from what is held: vertices n
 edges away carry in equal shares all that is further and can hang, and share it out among their springs by stiffness and

@@ -523,13 +523,21 @@ def on_ball():
     return cg.Scene([cg.Cloth(mesh)], bodies=[cg.Body(ball, slide=0.5)], step=0.01, self_collision=False)
 
 
+def hanging():
+    return cg.scenes.make("hanging_sheet", resolution=16)
+
+
 EULER = cg.Fidelity(integrator="symplectic_euler", substeps=0)
 GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
+CHOSEN = cg.Fidelity()
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
     "sweeps": (pile, CONTACT, 6, 0, "state"),
+    "contact_substeps": (pile, dataclasses.replace(CONTACT, substeps=0), 6, 0, "state"),
+    "stretch_error": (hanging, CHOSEN, 0.05, 0, "state"),
+    "precision": (hanging, CHOSEN, "float32", 0, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),

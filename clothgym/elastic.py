@@ -8,6 +8,7 @@ import numpy as np
 
 from clothgym import materials
 from clothgym.arrays import LEAST_EDGE, FloatArray, IntArray
+from clothgym.batches import by_colour
 from clothgym.bending import BendingPatches, flat_corners, proper_faces
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.bending import NO_HINGES, NO_QUADRATIC, HingeArrays, QuadraticArrays
@@ -74,11 +75,13 @@ def joined(parts: list[Energies], offsets: list[int], inverse_masses: FloatArray
         return np.ascontiguousarray(np.concatenate(arrays))
 
     hinge_offsets = np.cumsum([0] + [len(e.hinges.vertices) for e in parts[:-1]]).tolist()
+    ends = ids([e.springs.ends for e in parts])
+    order = by_colour(ends, len(inverse_masses))  # springs that stand together do not wait for each other
     arrays = ClothArrays(
         inverse_masses,
-        ids([e.springs.ends for e in parts]),
-        all_of([e.springs.rest for e in parts]),
-        all_of([e.springs.stiffness for e in parts]),
+        np.ascontiguousarray(ends[order]),
+        all_of([e.springs.rest for e in parts])[order],
+        all_of([e.springs.stiffness for e in parts])[order],
         MembraneArrays(
             ids([e.membrane.faces for e in parts]),
             all_of([e.membrane.shape for e in parts]),
@@ -99,7 +102,7 @@ def joined(parts: list[Energies], offsets: list[int], inverse_masses: FloatArray
             all_of([e.quadratic.reach for e in parts]),
         ),
     )
-    return arrays, np.concatenate([e.springs.kinds for e in parts])
+    return arrays, np.concatenate([e.springs.kinds for e in parts])[order]
 
 
 # ---------------------------------------------------------------------------------------------------------------

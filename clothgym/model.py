@@ -27,7 +27,7 @@ class ClothModel:
     Attributes:
         surface: topology of all cloths together.
         masses: (V,) [kg]; inverse_masses: (V,) 0 = pinned.
-        springs: ends (S, 2), rest lengths (S,) [m], stiffness (S,) [N/m], kinds (S,).
+        springs: ends (S, 2), rest lengths (S,) [m], stiffness (S,) [N/m], kinds (S,); sorted by colour, see `batches`.
         arrays: all energies, as the kernels read them; what the fidelity leaves out has length 0.
         constraint_count: multipliers of an XPBD substep.
         edge_rest: (E,) rest length of every mesh edge [m]; mean_edge: mean over the edges that a structural spring

@@ -109,7 +109,11 @@ def _sheet() -> None:
     import clothgym as cg
 
     scene = cg.scenes.make("hanging_sheet", resolution=6)
-    _steps(scene, "draft")
+    draft = cg.Fidelity.preset("draft")
+    _steps(scene, draft)
+    _steps(scene, dataclasses.replace(draft, precision="float32"))
+    vertices, faces = _crossing_sheets()
+    _steps(cg.Scene([cg.Cloth((vertices, faces))], self_collision=False), draft)
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     for modification in ("none", "literal", "relative"):
         _steps(scene, dataclasses.replace(euler, velocity_modification=modification))

@@ -29,10 +29,12 @@ PRECISIONS = ("float64", "float32")
 
 MOST_SUBSTEPS = 100_000
 """Substeps of a step, asked for or chosen."""
+MOST_SWEEPS = 10_000
+"""Sweeps of a substep, asked for or chosen."""
 
 _RANGES = {
     "substeps": (0, MOST_SUBSTEPS, True),
-    "sweeps": (1, 10_000, True),
+    "sweeps": (1, MOST_SWEEPS, True),
     "contact_substeps": (1, 100_000, True),
     "stretch_error": (1e-5, 10.0, False),
     "stretch_limit": (0.0, 10.0, False),

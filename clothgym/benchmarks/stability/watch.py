@@ -23,9 +23,9 @@ FROZEN = 0.05
 """Least share of the fall that gravity and damping alone allow (at most a fifth of the size)."""
 
 
-def variants() -> dict[str, dict[str, str]]:
+def variants(everything: bool = True) -> dict[str, dict[str, str]]:
     """Name -> fields of `Fidelity`: every integrator there is with every velocity modification that it takes, and every
-    choice of how cloth resists strain beside the usual one."""
+    choice of how cloth resists strain beside the usual one; those with the first integrator only, or with everything."""
     usual = fidelities.Fidelity()
     found: dict[str, dict[str, str]] = {}
     for integrator in fidelities.INTEGRATORS:
@@ -36,7 +36,7 @@ def variants() -> dict[str, dict[str, str]]:
             if _possible(fields):
                 found[" ".join(fields.values())] = fields
         for field, choices in _MODELS.items():
-            for choice in getattr(fidelities, choices, ()):
+            for choice in getattr(fidelities, choices, ()) if everything or integrator == usual.integrator else ():
                 fields = {"integrator": integrator, field: choice}
                 if choice != getattr(usual, field) and _possible(fields):
                     found[" ".join(fields.values())] = fields

@@ -17,7 +17,7 @@ STIFFNESS_FACTORS = tuple(10.0**power for power in range(-3, 7))
 AMPLITUDES = (1e-6, 0.2)
 DAMPINGS = (0.25, 0.5, 1.0)
 _SECONDS, _LEAST_STEPS = 1.0, 20
-_LENGTHS = {True: (8, 400), False: (24, 1200)}
+_LENGTHS = {True: (5, 200), False: (24, 1200)}
 """Steps, and most substeps, of an extreme in a quick and in a full run."""
 
 _NOTES = (

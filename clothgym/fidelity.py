@@ -9,7 +9,7 @@ from typing import Any
 
 from clothgym.arrays import check_choice, check_number
 
-INTEGRATORS = ("xpbd", "symplectic_euler")
+INTEGRATORS = ("xpbd", "symplectic_euler", "runge_kutta", "implicit_euler")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force")
 BODY_RESPONSES = ("coulomb", "velocity")
@@ -21,6 +21,9 @@ ARITIES = (2, 4, 8)
 _RANGES = {
     "substeps": (0, 100_000, True),
     "sweeps": (1, 10_000, True),
+    "time_order": (1, 2, True),
+    "tolerance": (1e-9, 1e3, False),
+    "solver_steps": (1, 10_000, True),
     "stretch_limit": (0.0, 10.0, False),
     "repair_rounds": (0, 1000, True),
     "untangling_passes": (1, 1000, True),
@@ -41,9 +44,14 @@ class Fidelity:
     """How well a scene is modelled. Every field changes a stage or a constant of the pipeline of some scene.
 
     Attributes:
-        integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
-        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler asks for (XPBD: 8).
+        integrator: "xpbd" (small substeps, stable at any step), "symplectic_euler" (springs as forces, as the paper),
+            "runge_kutta" (the same, of order 4), "implicit_euler" (Newton's method, stable at any step).
+        substeps: parts of a step; 0 = as many as the safe time step of an explicit integrator asks for (XPBD: 8, implicit
+            ones: 2).
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
+        time_order: of implicit integrators: 1 (implicit Euler, damps swings) or 2 (two stages a substep, damps little).
+        tolerance: what an implicit integrator may leave unbalanced [m/s^2], the root of the mean over the mass.
+        solver_steps: at most this many steps of Newton a solve; a solve that ends there is counted as "unconverged".
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
         stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
         detection: "hierarchy" (k-DOP tree) or "brute_force".
@@ -73,6 +81,9 @@ class Fidelity:
     integrator: str = "xpbd"
     substeps: int = 8
     sweeps: int = 8
+    time_order: int = 2
+    tolerance: float = 0.05
+    solver_steps: int = 50
     velocity_modification: str = "none"
     stretch_limit: float = 0.1
     detection: str = "hierarchy"

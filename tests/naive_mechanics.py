@@ -150,3 +150,18 @@ def collisions(x, p, faces, touching=1e-10, quads=None):
                 if distance <= touching:
                     found.append((kind, tuple(int(v) for v in quad), float(time)))
     return found
+
+
+def runge_kutta(x, v, acceleration, dt):
+    """One step of the classical method of order 4 for x' = v, v' = acceleration(x, v), from its table."""
+    table = [[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]]
+    rates: list[tuple[np.ndarray, np.ndarray]] = []
+    for row in table:
+        xs = x + dt * sum((a * r[0] for a, r in zip(row, rates)), np.zeros_like(x))
+        vs = v + dt * sum((a * r[1] for a, r in zip(row, rates)), np.zeros_like(x))
+        rates.append((vs, acceleration(xs, vs)))
+    weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+    return (
+        x + dt * sum(w * r[0] for w, r in zip(weights, rates, strict=True)),
+        v + dt * sum(w * r[1] for w, r in zip(weights, rates, strict=True)),
+    )

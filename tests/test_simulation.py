@@ -526,10 +526,14 @@ def on_ball():
 EULER = cg.Fidelity(integrator="symplectic_euler", substeps=0)
 GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
+IMPLICIT = cg.Fidelity(integrator="implicit_euler", substeps=2)
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
     "sweeps": (pile, CONTACT, 6, 0, "state"),
+    "time_order": (pile, IMPLICIT, 1, 0, "state"),
+    "tolerance": (pile, IMPLICIT, 1e-4, 2, "state"),
+    "solver_steps": (pile, IMPLICIT, 1, 2, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),

@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import integrate
 from clothgym.kernels.integrate import Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
@@ -49,8 +48,8 @@ class ContactSubsteps:
         s, model = self.step, frame.model
         self.kernels.solve(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
-            model.friction, s.radii, motion, s.ground, frame.grips, s.integrator.multipliers, substep,
-            s.integrator.in_sweeps,
+            model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),
+            s.integrator.multipliers, substep, s.integrator.in_sweeps,
         )  # fmt: skip
 
     def _answer(self, frame: Frame) -> None:
@@ -62,11 +61,12 @@ class ContactSubsteps:
 
     def run(self, frame: Frame) -> None:
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
-        x, v, p = state.positions, state.velocities, frame.predicted
+        x, p = state.positions, frame.predicted
         motion = s.motion(frame)
         base, horizon = 0, found.horizon  # candidates hold for the substeps base .. base + horizon - 1
         for n in range(s.substeps):
             now = time.perf_counter()
+            frame.substep = n
             self._predict(frame, motion)
             now = frame.clock(f"{self.name}: predict", now)
             done = n - base
@@ -104,7 +104,7 @@ class ContactSubsteps:
                     break
             else:
                 frame.count("unproved", 1)
-            integrate.finish(x, v, p, s.dt)
+            s.integrator.finish(frame, s.dt)
             self._answer(frame)
             frame.clock(f"{self.name}: advance", now)
 
@@ -129,10 +129,11 @@ class ContactSubstepsOnBody(ContactSubsteps):
         s, model = self.step, frame.model
         self.body_kernels.solve_on_body(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
-            model.friction, s.radii, motion, s.ground, frame.grips, s.integrator.multipliers, substep,
-            s.integrator.in_sweeps, self.contact,
+            model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),
+            s.integrator.multipliers, substep, s.integrator.in_sweeps, self.contact,
         )  # fmt: skip
 
     def _answer(self, frame: Frame) -> None:
         super()._answer(frame)
+        self.step.integrator.weigh_pushes(self.contact.moved)
         self.body_kernels.answer_body(frame.state.velocities, frame.model.inverse_masses, self.contact, self.step.dt)

@@ -10,6 +10,8 @@ from typing import Any
 from clothgym.arrays import check_choice, check_number
 
 INTEGRATORS = ("xpbd", "symplectic_euler", "runge_kutta", "implicit_euler")
+MEMBRANES = ("springs", "continuum")
+BENDINGS = ("flexion", "hinge", "quadratic", "none")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force")
 BODY_RESPONSES = ("coulomb", "velocity")
@@ -46,6 +48,10 @@ class Fidelity:
     Attributes:
         integrator: "xpbd" (small substeps, stable at any step), "symplectic_euler" (springs as forces, as the paper),
             "runge_kutta" (the same, of order 4), "implicit_euler" (Newton's method, stable at any step).
+        membrane: what resists stretch and shear: "springs" as the paper, or a "continuum" of triangles with the moduli of the
+            material along weft and warp, whose stiffness does not depend on the mesh.
+        bending: "flexion" springs as the paper, which have no linear bending stiffness; "hinge" angles with the material's
+            bending rigidity; "quadratic" in the positions, cheaper, for cloth that is flat at rest; or "none".
         substeps: parts of a step; 0 = as many as the safe time step of an explicit integrator asks for (XPBD: 8, implicit
             ones: 2).
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
@@ -79,6 +85,8 @@ class Fidelity:
     """
 
     integrator: str = "xpbd"
+    membrane: str = "springs"
+    bending: str = "flexion"
     substeps: int = 8
     sweeps: int = 8
     time_order: int = 2
@@ -107,6 +115,8 @@ class Fidelity:
 
     def __post_init__(self) -> None:
         check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
+        check_choice(self.membrane, "fidelity.membrane", MEMBRANES)
+        check_choice(self.bending, "fidelity.bending", BENDINGS)
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
@@ -127,6 +137,11 @@ class Fidelity:
             raise ValueError(
                 f"fidelity.velocity_modification = {self.velocity_modification!r}: works with integrator "
                 "'symplectic_euler' only; XPBD limits strain by its constraints"
+            )
+        if self.velocity_modification != "none" and self.membrane != "springs":
+            raise ValueError(
+                f"fidelity.velocity_modification = {self.velocity_modification!r}: acts on springs; membrane = "
+                f"{self.membrane!r} has none"
             )
 
     @staticmethod

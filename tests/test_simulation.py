@@ -529,6 +529,8 @@ STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_lim
 IMPLICIT = cg.Fidelity(integrator="implicit_euler", substeps=2)
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
+    "membrane": (pile, CONTACT, "continuum", 0, "state"),
+    "bending": (pile, CONTACT, "hinge", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
     "sweeps": (pile, CONTACT, 6, 0, "state"),
     "time_order": (pile, IMPLICIT, 1, 0, "state"),

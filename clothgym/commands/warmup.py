@@ -139,6 +139,21 @@ def _other_integrators() -> None:
     held.step()
 
 
+def _energies() -> None:
+    import clothgym as cg
+    from clothgym.kernels import bending, elastic, membrane
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    for kind in ("hinge", "quadratic"):
+        fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), membrane="continuum", bending=kind)
+        x, arrays = scene.start, cg.Simulation(scene, fidelity).model.arrays
+        elastic.elastic_forces(x, arrays, np.zeros_like(x))
+        elastic.spring_hessian(x, arrays, np.zeros((len(arrays.spring_ends), 2, 2, 3, 3)))
+        membrane.membrane_hessian(x, arrays, np.zeros((len(arrays.membrane.faces), 3, 3, 3, 3)))
+        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 6, 6, 3, 3)))
+        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 6, 6, 3, 3)))
+
+
 def _contact() -> None:
     import clothgym as cg
 
@@ -229,6 +244,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "geometry": _geometry,
     "sheet": _sheet,
     "other integrators": _other_integrators,
+    "energies": _energies,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
     "sides": _sides,

@@ -77,6 +77,13 @@ def _step(x, v, p, ends, cloth, motion, grips, substep, rates):
 
 
 @device
+def _copy(p, free):
+    for i in range(p.shape[0]):
+        for c in range(3):
+            free[i, c] = p[i, c]
+
+
+@device
 def _finish(x, v, p, free, ends, dt, lasting):
     for i in range(x.shape[0]):
         square = 0.0
@@ -110,7 +117,7 @@ def _finish(x, v, p, free, ends, dt, lasting):
 def runge_kutta_predict(x, v, p, free, ends, cloth, motion, grips, substep, rates):
     """p and its copy `free` at the end of a step without ground and contact; velocities there in `ends`."""
     _step(x, v, p, ends, cloth, motion, grips, substep, rates)
-    free[:] = p
+    _copy(p, free)
 
 
 @kernel
@@ -130,7 +137,7 @@ def runge_kutta_substeps(x, v, p, free, ends, cloth, motion, rates, radii, groun
     """`count` substeps without contacts between cloths."""
     for n in range(count):
         _step(x, v, p, ends, cloth, motion, grips, n, rates)
-        free[:] = p
+        _copy(p, free)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
         _finish(x, v, p, free, ends, motion.dt, lasting)
 

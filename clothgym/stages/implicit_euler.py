@@ -8,7 +8,7 @@ import numpy as np
 
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import anchors, implicit, integrate, runge_kutta
+from clothgym.kernels import anchors, bending, implicit, integrate, runge_kutta
 from clothgym.kernels.implicit import BlockMatrix, Search
 from clothgym.kernels.integrate import Grips, Motion
 from clothgym.model import ClothModel
@@ -85,11 +85,8 @@ class ImplicitEuler(Implicit):
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         super().__init__(model, fidelity)
-        rows, columns, (slots,) = block_pattern([model.spring_ends], model.inverse_masses == 0.0)
-        count, pairs = model.vertex_count, len(columns)
-        self.matrix = BlockMatrix(
-            rows, columns, np.zeros((count, 3, 3)), np.zeros((pairs, 3, 3)), np.zeros((count, 3, 3)), slots
-        )
+        self.matrix = block_matrix(model)
+        count = model.vertex_count
         self.search = Search(*(np.zeros((count, 3)) for _ in range(7)))
         self.iterations = max(100, 3 * count)  # conjugate gradients end there but for rounding
 
@@ -101,6 +98,19 @@ class ImplicitEuler(Implicit):
         frame.count("solver_steps", steps)
         frame.count("linear_iterations", iterations)
         frame.count("unconverged", not left <= self.tolerance)
+
+
+def block_matrix(model: ClothModel) -> BlockMatrix:
+    """The matrix of all energies of a model; what is constant in it is written."""
+    arrays = model.arrays
+    stencils = [arrays.spring_ends, arrays.membrane.faces, arrays.hinges.stencils, arrays.quadratic.stencils]
+    rows, columns, slots = block_pattern(stencils, model.inverse_masses == 0.0)
+    count, elements = model.vertex_count, [slots[0]]
+    for each in slots[1:]:
+        elements += [each, np.zeros((*each.shape, 3, 3))]
+    bending.quadratic_hessian(arrays, elements[-1])
+    diagonal, blocks, inverses = (np.zeros((size, 3, 3)) for size in (count, len(columns), count))
+    return BlockMatrix(rows, columns, diagonal, blocks, inverses, *elements)
 
 
 def block_pattern(stencils: list[IntArray], pinned: np.ndarray) -> tuple[IntArray, IntArray, list[IntArray]]:
@@ -125,7 +135,8 @@ def block_pattern(stencils: list[IntArray], pinned: np.ndarray) -> tuple[IntArra
     rows = np.searchsorted(pairs, np.arange(count + 1) * count)
     for ids in slots:
         row, column = ids // count, ids % count
-        ids[:] = np.where(ids < 0, -1, np.where(row == column, row, np.searchsorted(pairs, ids)))
+        # an element may name a vertex twice: such a block belongs to the diagonal too
+        ids[:] = np.where(ids < 0, -1, np.where(row == column, -2 - row, np.searchsorted(pairs, ids)))
     return (
         np.ascontiguousarray(rows, np.int32),
         np.ascontiguousarray(pairs % count, np.int32),

@@ -145,7 +145,7 @@ class Xpbd(Integrator):
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         super().__init__(model, fidelity)
-        self.multipliers = np.zeros(len(model.spring_rest))
+        self.multipliers = np.zeros(model.constraint_count)
 
     def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
         return fidelity.substeps or 8

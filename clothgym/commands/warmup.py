@@ -119,7 +119,7 @@ def _other_integrators() -> None:
     import trimesh
 
     import clothgym as cg
-    from clothgym.kernels import implicit
+    from clothgym.kernels import implicit, quasi_newton
 
     scene = cg.scenes.make("hanging_sheet", resolution=6)
     vertices, faces = _crossing_sheets()
@@ -131,6 +131,10 @@ def _other_integrators() -> None:
         fidelity = dataclasses.replace(base, integrator="implicit_euler", substeps=1, time_order=order)
         solver = _steps(scene, fidelity).pipeline.stages[0].step.integrator
     implicit.solve_linear(solver.matrix, solver.weights, solver.search, 0.1, 1)
+    solver = (
+        _steps(scene, dataclasses.replace(base, integrator="global", substeps=1)).pipeline.stages[0].step.integrator
+    )
+    quasi_newton.solve_factored(solver.factor, scene.start, scene.start.copy(), solver.memory.sorted)
     for integrator in ("runge_kutta", "implicit_euler"):
         _steps(resting, dataclasses.replace(base, integrator=integrator, substeps=0), 1)
     held = cg.Simulation(dataclasses.replace(scene, grips=[cg.Grip(radius=0.5)]), fidelity)

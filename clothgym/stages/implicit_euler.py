@@ -25,12 +25,17 @@ class Implicit(Integrator):
     With time_order 1 a substep is one implicit Euler step, of the same objective as XPBD's. With time_order 2 it is two
     stages, each such a step of 0.29 of the length; these damp what the step cannot resolve, and little else. Anchors of
     grippers are part of the objective. Ground, body and contact correct its result: a splitting, of order 1 in time.
+
+    Attributes:
+        few: steps of a solve at most, if the fidelity leaves that open.
     """
+
+    few = 50
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         super().__init__(model, fidelity)
         self.second_order = fidelity.time_order == 2
-        self.tolerance, self.steps = fidelity.tolerance, fidelity.solver_steps
+        self.tolerance, self.steps = fidelity.tolerance, fidelity.solver_steps or self.few
         h = model.scene.step / self.substeps * (SECOND_ORDER if self.second_order else 1.0)
         self.stage_length = h
         free = model.inverse_masses > 0.0

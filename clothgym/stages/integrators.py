@@ -188,4 +188,8 @@ def get(model: ClothModel, fidelity: Fidelity) -> Integrator:
         from clothgym.stages.implicit_euler import ImplicitEuler
 
         kinds["implicit_euler"] = ImplicitEuler
+    elif fidelity.integrator == "global":
+        from clothgym.stages.global_solver import GlobalSolver
+
+        kinds["global"] = GlobalSolver
     return kinds[fidelity.integrator](model, fidelity)

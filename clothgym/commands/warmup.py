@@ -77,7 +77,7 @@ def _geometry() -> None:
     surface = cg.Surface(faces)
     tree = Hierarchy(surface, vertices)
     tree.refit(vertices, vertices, 0.0)
-    Intersections(vertices, surface, tree.self_pairs())
+    Intersections(vertices, surface, tree.edges_against_faces())
     for strategy in ("local", "global", "hybrid"):
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
 
@@ -119,18 +119,70 @@ def _sheet() -> None:
         _steps(scene, dataclasses.replace(euler, velocity_modification=modification))
 
 
+def _other_integrators() -> None:
+    import trimesh
+
+    import clothgym as cg
+    from clothgym.kernels import implicit, quasi_newton
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    vertices, faces = _crossing_sheets()
+    ball = cg.Body(trimesh.creation.icosphere(subdivisions=1, radius=0.15))
+    resting = cg.Scene([cg.Cloth((vertices + np.array([0.0, 0.151, 0.0]), faces))], bodies=[ball], self_collision=False)
+    base = cg.Fidelity.preset("draft")
+    _steps(scene, dataclasses.replace(base, integrator="runge_kutta", substeps=0))
+    for order in (1, 2):
+        fidelity = dataclasses.replace(base, integrator="implicit_euler", substeps=1, time_order=order)
+        solver = _steps(scene, fidelity).pipeline.stages[0].step.integrator
+    implicit.solve_linear(solver.matrix, solver.weights, solver.search, 0.1, 1)
+    solver = (
+        _steps(scene, dataclasses.replace(base, integrator="global", substeps=1)).pipeline.stages[0].step.integrator
+    )
+    quasi_newton.solve_factored(solver.factor, scene.start, scene.start.copy(), solver.memory.sorted)
+    for integrator in ("runge_kutta", "implicit_euler"):
+        _steps(resting, dataclasses.replace(base, integrator=integrator, substeps=0), 1)
+    held = cg.Simulation(dataclasses.replace(scene, grips=[cg.Grip(radius=0.5)]), fidelity)
+    held.place_grip(0, scene.start[0])
+    held.grasp(0)
+    held.step()
+
+
+def _energies() -> None:
+    import clothgym as cg
+    from clothgym.kernels import bending, elastic, membrane
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    for kind in ("hinge", "quadratic"):
+        fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), membrane="continuum", bending=kind)
+        simulation = _steps(scene, fidelity, 1)  # compiled for what is there: springs alone are another type
+        x, arrays = scene.start, simulation.model.arrays
+        elastic.elastic_forces(x, arrays, np.zeros_like(x))
+        elastic.spring_hessian(x, arrays, np.zeros((len(arrays.spring_ends), 2, 2, 3, 3)))
+        membrane.membrane_hessian(x, arrays, np.zeros((len(arrays.membrane.faces), 3, 3, 3, 3)))
+        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 12, 12, 3, 3)))
+        bending.hinge_rows(x, arrays, np.zeros((len(arrays.hinges.stencils), 3, 12, 3)))
+        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 12, 12, 3, 3)))
+
+
 def _contact() -> None:
     import clothgym as cg
 
     scene = cg.scenes.make("squares", count=2)
-    for fidelity in ("draft", dataclasses.replace(cg.Fidelity.preset("draft"), detection="brute_force")):
-        _steps(scene, fidelity)
+    draft = cg.Fidelity.preset("draft")
+    mezger = {"detection": "mezger", "lazy": 1e-4, "rebuild_growth": 1e-3}
+    for settings in (
+        {}, {"rebuild_growth": 1e-3}, {"detection": "brute_force"}, mezger, {**mezger, "coherence": 1e-3},
+    ):  # fmt: skip
+        _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()
     crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
     for near_hits in ("keep", "off_any", "off_both"):
         _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     _steps(crossing, euler, 1)
+    sheet = dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=6), self_collision=True)
+    for flat in ("draft", euler):
+        _steps(sheet, flat, 1)
 
 
 def _wind_and_grips() -> None:
@@ -208,6 +260,8 @@ def _pictures() -> None:
 PARTS: dict[str, Callable[[], None]] = {
     "geometry": _geometry,
     "sheet": _sheet,
+    "other integrators": _other_integrators,
+    "energies": _energies,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
     "sides": _sides,

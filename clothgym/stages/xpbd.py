@@ -30,12 +30,13 @@ class Xpbd(Integrator):
         super().__init__(model, fidelity)
         scene = model.scene
         self.runs: Runs | None = None
-        if not (scene.self_collision or scene.bodies):
+        alone = model.constraint_count == len(model.spring_rest)
+        if alone and not (scene.self_collision or scene.bodies):
             layout = spring_layout(model)
             if len(layout.runs) > 0:
                 self.runs = Runs(model, layout, scene.step / self.substeps, np.dtype(fidelity.precision))
                 return
-        self.multipliers = np.zeros(len(model.spring_rest))
+        self.multipliers = np.zeros(model.constraint_count)
 
     def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
         substeps, self.sweeps = promise.effort(model, fidelity)

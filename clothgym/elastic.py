@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clothgym import materials
 from clothgym.arrays import FloatArray, IntArray
+from clothgym.bending import BendingPatches, flat_corners, proper_faces
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.bending import NO_HINGES, NO_QUADRATIC, HingeArrays, QuadraticArrays
 from clothgym.kernels.membrane import NO_MEMBRANE, MembraneArrays
@@ -18,9 +19,6 @@ from clothgym.rest import RestShape
 from clothgym.scene import Cloth
 
 STRUCTURAL, SHEAR, FLEXION = 0, 1, 2
-_LEAST_SINGULAR = 0.1
-"""Of the angles of a patch as functions of its curvatures; below, the six vertices lie nearly on one conic, and the
-curvature that they do not tell is taken as the least one."""
 
 
 class Springs(NamedTuple):
@@ -55,10 +53,10 @@ def energies(cloth: Cloth, rest_shape: RestShape, surface: Surface, fidelity: Fi
     if fidelity.membrane == "continuum":
         membrane = membrane_arrays(rest_shape, material)
     if fidelity.bending in ("hinge", "quadratic") and material.bending > 0.0:
-        patches = Patches(rest_shape, surface)
-        bending = patches.quadratic(material)
+        patches = BendingPatches(rest_shape, surface)
+        bending = patches.quadratic_arrays(material)
         if fidelity.bending == "hinge":
-            hinges = patches.hinges(material)
+            hinges = patches.hinge_arrays(material)
         else:
             quadratic = bending
     sums = _row_sums(rest_shape.count, springs, membrane, bending)
@@ -68,13 +66,14 @@ def energies(cloth: Cloth, rest_shape: RestShape, surface: Surface, fidelity: Fi
 def joined(parts: list[Energies], offsets: list[int], inverse_masses: FloatArray) -> tuple[ClothArrays, IntArray]:
     """Energies of all cloths as one, vertex ids moved by the offsets; and the kind of each spring."""
 
-    def ids(arrays: list[IntArray]) -> IntArray:
-        moved = [a + o for a, o in zip(arrays, offsets, strict=True)]
+    def ids(arrays: list[IntArray], starts: list[int] = offsets) -> IntArray:
+        moved = [a + start for a, start in zip(arrays, starts, strict=True)]
         return np.ascontiguousarray(np.concatenate(moved), np.int32)
 
-    def all_of(arrays: list[FloatArray]) -> FloatArray:
+    def all_of(arrays: list[Any]) -> Any:
         return np.ascontiguousarray(np.concatenate(arrays))
 
+    hinge_offsets = np.cumsum([0] + [len(e.hinges.vertices) for e in parts[:-1]]).tolist()
     arrays = ClothArrays(
         inverse_masses,
         ids([e.springs.ends for e in parts]),
@@ -86,11 +85,24 @@ def joined(parts: list[Energies], offsets: list[int], inverse_masses: FloatArray
             all_of([e.membrane.stiffness for e in parts]),
         ),
         HingeArrays(
-            ids([e.hinges.stencils for e in parts]),
-            all_of([e.hinges.stiffness for e in parts]),
+            ids([e.hinges.vertices for e in parts]),
             all_of([e.hinges.rest for e in parts]),
+            ids([e.hinges.stencils for e in parts]),
+            ids([e.hinges.hinges for e in parts], hinge_offsets),
+            all_of([e.hinges.local for e in parts]),
+            all_of([e.hinges.weights for e in parts]),
+            all_of([e.hinges.reach for e in parts]),
         ),
-        QuadraticArrays(ids([e.quadratic.stencils for e in parts]), all_of([e.quadratic.weights for e in parts])),
+        QuadraticArrays(
+            ids([e.quadratic.stencils for e in parts]),
+            all_of([e.quadratic.weights for e in parts]),
+            all_of([e.quadratic.reach for e in parts]),
+        ),
+    )
+    arrays = arrays._replace(
+        has_membrane=True if len(arrays.membrane.faces) else None,
+        has_hinges=True if len(arrays.hinges.stencils) else None,
+        has_quadratic=True if len(arrays.quadratic.stencils) else None,
     )
     return arrays, np.concatenate([e.springs.kinds for e in parts])
 
@@ -151,31 +163,7 @@ def _skip_one(quads: IntArray) -> IntArray:
 
 
 # ---------------------------------------------------------------------------------------------------------------
-# triangles with weft and warp
-
-
-def flat_corners(corners: FloatArray) -> FloatArray:
-    """(F, 3, 2) corners of faces (F, 3, 3) along weft and warp [m].
-
-    The weft runs along the x axis of the rest shape, which is the first axis of a panel's plane, laid onto the face (of
-    faces that stand across it, the z axis); the warp lies in the face at a right angle to it.
-    """
-    e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e, f)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    weft = np.array([1.0, 0.0, 0.0]) - normal * normal[:, :1]
-    across = np.linalg.norm(weft, axis=1) < 1e-3
-    weft[across] = np.array([0.0, 0.0, 1.0]) - normal[across] * normal[across, 2:]
-    weft /= np.maximum(np.linalg.norm(weft, axis=1, keepdims=True), 1e-300)
-    warp = np.cross(normal, weft)
-    from_first = corners - corners[:, :1]
-    return np.stack([np.einsum("fci,fi->fc", from_first, axis) for axis in (weft, warp)], axis=2)
-
-
-def proper_faces(rest_shape: RestShape) -> FloatArray:
-    """(F,) bool: faces of the rest shape with an area, beyond rounding errors."""
-    sides = rest_shape.corners - np.roll(rest_shape.corners, 1, axis=1)
-    return rest_shape.face_areas > 1e-10 * (sides * sides).sum(axis=(1, 2))
+# membrane
 
 
 def membrane_arrays(rest_shape: RestShape, material: Material) -> MembraneArrays:
@@ -187,93 +175,6 @@ def membrane_arrays(rest_shape: RestShape, material: Material) -> MembraneArrays
     shape = np.stack([s / det, -q / det, -r / det, p / det], axis=1)
     moduli = np.array(material.moduli)
     return MembraneArrays(rest_shape.faces[proper], shape, rest_shape.face_areas[proper, None] * moduli)
-
-
-class Patches:
-    """Every face with the faces across its edges, laid into its plane.
-
-    Attributes:
-        stencils: (N, 6) int32, see `kernels.bending.HingeArrays`.
-        jumps: (N, 3, 6) [1/m]: applied to heights, the angles of the three hinges; zero rows for what is no hinge.
-        curvatures: (N, 3, 3) [1/m]: applied to the angles, (k_uu, k_vv, 2^(1/2) k_uv).
-        areas: (N,) [m^2].
-        angles: (N, 3) of the rest shape [rad].
-    """
-
-    def __init__(self, rest_shape: RestShape, surface: Surface) -> None:
-        proper = proper_faces(rest_shape)[surface.face_ids]
-        own = np.flatnonzero(proper)
-        triangles, count = surface.faces[own], len(own)
-        self.areas: FloatArray = rest_shape.face_areas[surface.face_ids[own]]
-        self.stencils: IntArray = np.repeat(triangles[:, :1], 6, axis=1)
-        self.stencils[:, :3] = triangles
-        flat = flat_corners(rest_shape.corners[surface.face_ids[own]])
-        points = np.concatenate([flat, np.zeros_like(flat)], axis=1)
-        self.jumps: FloatArray = np.zeros((count, 3, 6))
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            edges = surface.face_edges[own, i]
-            start = surface.edge_face_start[edges]
-            two = surface.edge_face_start[edges + 1] - start == 2
-            pair = surface.edge_face_ids[np.stack([start, start + two], axis=1)]
-            other = np.where(pair[:, 0] == own, pair[:, 1], pair[:, 0])
-            across = surface.faces[other].sum(axis=1) - triangles[:, i] - triangles[:, j]
-            there = np.flatnonzero(two & proper[other] & (across != triangles[:, k]))
-            self.stencils[there, 3 + i] = across[there]
-            laid = rest_shape.laid_out(surface, other[there], triangles[there][:, [i, j]])
-            a, b, c = points[there, i], points[there, j], points[there, k]
-            edge = b - a
-            size = np.linalg.norm(edge, axis=1)
-            e = edge / size[:, None]
-            share = ((c - a) * e).sum(axis=1)
-            height = 2.0 * self.areas[there] / size
-            outward = -((c - a) - share[:, None] * e) / height[:, None]
-            points[there, 3 + i] = 0.5 * (a + b) + laid[:, :1] * e + laid[:, 1:] * outward
-            tc, td = share / size, laid[:, 0] / size + 0.5
-            self.jumps[there, i, i] = -(1.0 - tc) / height - (1.0 - td) / laid[:, 1]
-            self.jumps[there, i, j] = -tc / height - td / laid[:, 1]
-            self.jumps[there, i, k] = 1.0 / height
-            self.jumps[there, i, 3 + i] = 1.0 / laid[:, 1]
-        x, y = points[:, :, 0], points[:, :, 1]
-        heights = np.stack([0.5 * x * x, 0.5 * y * y, np.sqrt(0.5) * x * y], axis=2)
-        rows = self.jumps @ heights
-        sizes = np.linalg.norm(rows, axis=2, keepdims=True)
-        sizes[sizes == 0.0] = 1.0
-        inverse = np.linalg.pinv(rows / sizes, rcond=_LEAST_SINGULAR) if count else rows
-        hinge = self.jumps.any(axis=2)[:, None, :]
-        self.curvatures: FloatArray = np.where(hinge, inverse / sizes.transpose(0, 2, 1), 0.0)
-        self.angles: FloatArray = np.zeros((count, 3))
-        if rest_shape.places is not None:
-            self.angles = _angles(rest_shape.places[self.stencils]) * self.jumps.any(axis=2)
-
-    def _rigidity(self, material: Material) -> FloatArray:
-        """(N, 3) [N m^3] for the squares of the three curvatures."""
-        weft, warp = material.bending, material.bending_along_warp
-        return self.areas[:, None] * np.array([weft, warp, np.sqrt(weft * warp)])
-
-    def hinges(self, material: Material) -> HingeArrays:
-        """Arrays of `bending` = "hinge"."""
-        p = self.curvatures
-        q = np.einsum("nai,na,naj->nij", p, self._rigidity(material), p)
-        return HingeArrays(
-            self.stencils, np.ascontiguousarray(q[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]), self.angles
-        )
-
-    def quadratic(self, material: Material) -> QuadraticArrays:
-        """Arrays of `bending` = "quadratic", which is flat at rest."""
-        weights = np.sqrt(self._rigidity(material))[:, :, None] * (self.curvatures @ self.jumps)
-        return QuadraticArrays(self.stencils, np.ascontiguousarray(weights))
-
-
-def _angles(x: FloatArray) -> FloatArray:
-    """(N, 3) hinge angles [rad] of patches (N, 6, 3), signed as in `kernels.bending.hinge_angle`."""
-    found = np.zeros((len(x), 3))
-    for i in range(3):
-        a, b, c, d = (x[:, k] for k in (i, (i + 1) % 3, (i + 2) % 3, 3 + i))
-        n, m = np.cross(b - a, c - a), np.cross(d - a, b - a)
-        size = np.maximum(np.linalg.norm(b - a, axis=1), 1e-300)
-        found[:, i] = np.arctan2((np.cross(m, n) * (b - a)).sum(axis=1) / size, (n * m).sum(axis=1))
-    return found
 
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -301,4 +202,4 @@ def _row_sums(count: int, springs: Springs, membrane: MembraneArrays, bending: Q
     if len(bending.stencils):
         norms = np.abs(bending.weights.transpose(0, 2, 1) @ bending.weights)
         sums = sums + np.bincount(bending.stencils.ravel(), norms.sum(axis=2).ravel(), minlength=count)
-    return sums
+    return np.asarray(sums, np.float64)

@@ -124,10 +124,20 @@ class Material:
 
 MATERIALS: dict[str, Material] = {
     "cotton": Material(),
-    "silk": Material(density=0.06, stretch=5e3, shear=5e1, flexion=5e-3, friction=0.2, thickness=1e-3),
-    "denim": Material(density=0.4, stretch=3e4, shear=1e3, flexion=2e-1, friction=0.4, thickness=3e-3),
-}
-"""Names for cloths of that kind: spring constants chosen to look right at cells of 1 to 5 cm, not measured fabrics."""
+    "silk": Material(density=0.06, stretch=5e3, shear=5e1, flexion=5e-3, bending=3e-6, friction=0.2, thickness=1e-3),
+    "denim": Material(
+        density=0.4, stretch=3e4, shear=1e3, flexion=2e-1, weft=8.89e3, warp=8.89e3, coupling=0.0, shear_modulus=122.5,
+        bending=1.69e-5, friction=0.4, thickness=3e-3,
+    ),
+    "wool": Material(
+        density=0.168, stretch=1.88e3, shear=26.17, weft=1671.0, warp=2133.0, coupling=0.0, shear_modulus=26.17,
+        bending=5.02e-6, bending_warp=5.56e-6,
+    ),
+}  # fmt: skip
+"""Named fabrics; docs/materials.md says of each value whether it was measured, and by whom, or chosen.
+
+Spring constants of cotton, silk and denim are chosen to look right at cells of 1 to 5 cm; those of wool are the equivalents
+of its moduli."""
 
 
 def get(material: str | Material) -> Material:

@@ -109,8 +109,9 @@ class ClothModel:
     def safe_time_step(self) -> float:
         """Largest time step [s] for which symplectic Euler is provably stable for small strains.
 
-        Gershgorin: w^2 <= max_i sum_j |d^2 E / dx_i dx_j| / m_i, for springs max_i sum_j 2 k_ij / m_i; with viscous damping c the limit is (w dt)^2 < 4 - 2 c dt. [Vassilev
-        2001, eq. 4] gives 0.4 pi sqrt(m/K), which lies above the true limit of its own scheme.
+        Gershgorin: w^2 <= max_i sum_j |d^2 E / dx_i dx_j| / m_i, for springs max_i sum_j 2 k_ij / m_i; with viscous
+        damping c the limit is (w dt)^2 < 4 - 2 c dt. [Vassilev 2001, eq. 4] gives 0.4 pi sqrt(m/K), which lies above the
+        true limit of its own scheme.
         """
         square = float((self.row_sums * self.inverse_masses).max())
         if square == 0.0:

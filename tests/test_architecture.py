@@ -27,7 +27,7 @@ FLOORS = {
         *("pattern", "garmentcode", "panel_mesh", "garment"),
     ),
     3: ("scene",),
-    4: ("model", "elastic"),
+    4: ("model", "elastic", "bending"),
     5: ("detection",),
     6: ("response", "metrics"),
     7: ("stages", "pipeline"),

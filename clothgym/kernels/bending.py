@@ -1,18 +1,21 @@
-"""Bending of a triangle and the three that share its edges: by hinge angles, or quadratic in the positions.
+"""Bending of triangle meshes: by hinge angles, or quadratic in the positions.
 
-The six vertices of such a patch determine one quadratic height field, so the three hinge angles t of a triangle determine
-its curvatures (k_uu, k_vv, k_uv) = P t, exactly for every quadratic surface over every mesh; the triangle then holds
+The curvature of a triangle is that of Morley's element for plates: S = sum_i t_i (l_i / A) m_i m_i^T over its edges with
+length l and outward normal m, where t_i is the angle from the plane of the triangle to the surface at the edge. The hinge
+angle T of an edge is split between its two triangles, t = T/2 + p on one side and T/2 - p on the other. Morley's element
+finds p by solving for all edges together. Here p is read off the five hinges of both triangles, by the least weights that
+are right for every quadratic surface. A triangle with area A then holds
 
-    A/2 (B_u k_uu^2 + B_v k_vv^2 + 2 sqrt(B_u B_v) k_uv^2) = 1/2 (t - t0) . Q (t - t0)
+    A/2 (B_u S_uu^2 + B_v S_vv^2 + 2 sqrt(B_u B_v) S_uv^2)
 
-with t0 the angles of the rest shape [Phaal 1992 takes such patches for plates; here with angles, so that turning is free].
-An energy of single hinges [Grinspun 2003] cannot do that: on a grid of right triangles its stiffness depends on the
-direction (see docs/materials.md for numbers). At a free border the curvature that no angle tells is the least one, which
-is the state without moment.
+This is exact for quadratic surfaces on every mesh, and constant curvature is in equilibrium on every mesh, because both
+parts of an angle sum to it. The usual energies fail one or the other and stay off under refinement: single hinges
+[Grinspun 2003] depend on the direction of the grid by a factor of 3, equal halves [Grinspun 2006] are 10 % too stiff on
+irregular triangles (docs/materials.md has the numbers). At a free border the curvature that no hinge tells is the least.
 
 For a cloth that is flat at rest and does not stretch, the second derivatives of the positions are curvatures times the
-normal. P applied to the jumps of the slope, which are linear in the positions, gives the energy 1/2 sum_a |W_a x|^2 with
-a constant Hessian: the idea of [Bergou 2006], with the weights of the patch.
+normal; with the jumps of slope, which are linear in the positions, in place of the angles, the energy becomes
+1/2 sum_a |W_a x|^2 with a constant Hessian: the idea of [Bergou 2006] with the weights above.
 """
 
 from __future__ import annotations
@@ -28,34 +31,48 @@ from clothgym.kernels.vec3 import cross, dot, solve3
 
 
 class HingeArrays(NamedTuple):
-    """Patches that bend by angles; constant while a simulation lives."""
+    """Hinges and the patches of triangles that couple them; constant while a simulation lives.
 
-    stencils: NDArray  # (N, 6) int32: triangle 0, 1, 2; then what lies across edges (0,1), (1,2), (2,0); none: vertex 0
-    stiffness: NDArray  # (N, 6) [N m]: Q00, Q01, Q02, Q11, Q12, Q22; a hinge that is none has no stiffness
-    rest: NDArray  # (N, 3) [rad]
+    A patch is a triangle with its neighbours: stencil vertices 0, 1, 2, then those across edges (0,1), (1,2), (2,0), then
+    two beyond each neighbour. What is missing at a border repeats vertex 0 and has no weight.
+    """
+
+    vertices: NDArray  # (H, 4) int32: edge a, b; c and d opposite
+    rest: NDArray  # (H,) [rad]
+    stencils: NDArray  # (N, 12) int32
+    hinges: NDArray  # (N, 9) int32: of the triangle's own edges, then two of each neighbour
+    local: NDArray  # (N, 9, 4) int32: places of the hinges' vertices in the stencil
+    weights: NDArray  # (N, 3, 9) [(N m)^(1/2)]: energy 1/2 sum_a (sum_h weights[n, a, h] angle_h)^2
+    reach: NDArray  # (N,) int32: hinges with weight are among the first 3 or 9
 
 
 class QuadraticArrays(NamedTuple):
     """Patches that bend by second differences; constant while a simulation lives."""
 
-    stencils: NDArray  # (N, 6) int32, as above
-    weights: NDArray  # (N, 3, 6) [(N/m)^(1/2)]: energy 1/2 sum_a |sum_p weights[n, a, p] x_p|^2
+    stencils: NDArray  # (N, 12) int32, as above
+    weights: NDArray  # (N, 3, 12) [(N/m)^(1/2)]: energy 1/2 sum_a |sum_p weights[n, a, p] x_p|^2
+    reach: NDArray  # (N,) int32: vertices with weight are among the first 6 or 12
 
 
-NO_HINGES = HingeArrays(np.zeros((0, 6), np.int32), np.zeros((0, 6)), np.zeros((0, 3)))
-NO_QUADRATIC = QuadraticArrays(np.zeros((0, 6), np.int32), np.zeros((0, 3, 6)))
+NO_HINGES = HingeArrays(
+    np.zeros((0, 4), np.int32), np.zeros(0), np.zeros((0, 12), np.int32), np.zeros((0, 9), np.int32),
+    np.zeros((0, 9, 4), np.int32), np.zeros((0, 3, 9)), np.zeros(0, np.int32),
+)  # fmt: skip
+NO_QUADRATIC = QuadraticArrays(np.zeros((0, 12), np.int32), np.zeros((0, 3, 12)), np.zeros(0, np.int32))
 
 
 @device
 def hinge_angle(x, a, b, c, d, g):
     """Signed angle [rad] of the hinge between triangles (a, b, c) and (b, a, d), and its gradient.
 
-    Zero when flat, positive when d rises to the side that the normal of (a, b, c) points to; in (-pi, pi). A triangle
-    without area has no angle: 0, without gradient.
+    Zero when flat, positive when d rises to the side that the normal of (a, b, c) points to; in (-pi, pi).
 
     Args:
         x: (V, 3) [m].
         g: (4, 3) [1/m], written: gradient by a, b, c, d.
+
+    Returns:
+        The angle, and whether there is one: a triangle without area has none, and its gradient is zero.
     """
     ex = x[b, 0] - x[a, 0]
     ey = x[b, 1] - x[a, 1]
@@ -78,7 +95,7 @@ def hinge_angle(x, a, b, c, d, g):
             g[v, 0] = 0.0
             g[v, 1] = 0.0
             g[v, 2] = 0.0
-        return 0.0
+        return 0.0, False
     size = math.sqrt(edge)
     tx, ty, tz = cross(mx, my, mz, nx, ny, nz)
     angle = math.atan2(dot(tx, ty, tz, ex, ey, ez) / size, dot(nx, ny, nz, mx, my, mz))
@@ -95,112 +112,159 @@ def hinge_angle(x, a, b, c, d, g):
     for k in range(3):
         g[0, k] = -(1.0 - tc) * g[2, k] - (1.0 - td) * g[3, k]
         g[1, k] = -tc * g[2, k] - td * g[3, k]
-    return angle
+    return angle, True
 
 
 @device
-def _patch_angles(x, stencil, stiffness, rest, g, turned):
-    """Angles minus rest angles of a patch into turned (3,), their gradients by its six vertices into g (3, 6, 3)."""
-    g[:] = 0.0
-    one = np.empty((4, 3))
-    for i in range(3):
-        j = i + 1 if i < 2 else 0
-        k = 3 - i - j
-        turned[i] = 0.0
-        if stiffness[5 if i == 2 else 3 * i] == 0.0:
-            continue
-        turned[i] = hinge_angle(x, stencil[i], stencil[j], stencil[k], stencil[3 + i], one) - rest[i]
-        for axis in range(3):
-            g[i, i, axis] = one[0, axis]
-            g[i, j, axis] = one[1, axis]
-            g[i, k, axis] = one[2, axis]
-            g[i, 3 + i, axis] = one[3, axis]
+def turn_hinges(x, hinges, turned, g):
+    """Angles minus rest angles of all hinges into turned (H,), their gradients into g (H, 4, 3)."""
+    for h in range(hinges.vertices.shape[0]):
+        v = hinges.vertices[h]
+        angle, proper = hinge_angle(x, v[0], v[1], v[2], v[3], g[h])
+        turned[h] = angle - hinges.rest[h] if proper else 0.0
+
+
+@device
+def patch_rows(hinges, n, turned, g, rows, c):
+    """Curvature terms c (3,) of patch n [(N m)^(1/2)] and their gradients by the stencil into rows (3, 12, 3)."""
+    reach = hinges.reach[n]
+    weights = hinges.weights[n]
+    rows[:] = 0.0
+    c[:] = 0.0
+    for k in range(reach):
+        h = hinges.hinges[n, k]
+        for a in range(3):
+            weight = weights[a, k]
+            c[a] += weight * turned[h]
+            for v in range(4):
+                at = hinges.local[n, k, v]
+                rows[a, at, 0] += weight * g[h, v, 0]
+                rows[a, at, 1] += weight * g[h, v, 1]
+                rows[a, at, 2] += weight * g[h, v, 2]
 
 
 @device
 def hinge_energy(x, hinges):
     """[J]."""
+    count = hinges.vertices.shape[0]
+    turned = np.empty(count)
+    turn_hinges(x, hinges, turned, np.empty((count, 4, 3)))
     total = 0.0
-    g = np.empty((3, 6, 3))
-    t = np.empty(3)
     for n in range(hinges.stencils.shape[0]):
-        q = hinges.stiffness[n]
-        _patch_angles(x, hinges.stencils[n], q, hinges.rest[n], g, t)
-        total += 0.5 * (q[0] * t[0] * t[0] + q[3] * t[1] * t[1] + q[5] * t[2] * t[2])
-        total += q[1] * t[0] * t[1] + q[2] * t[0] * t[2] + q[4] * t[1] * t[2]
+        for a in range(3):
+            c = 0.0
+            for k in range(hinges.reach[n]):
+                c += hinges.weights[n, a, k] * turned[hinges.hinges[n, k]]
+            total += 0.5 * c * c
     return total
 
 
 @device
 def add_hinge_forces(x, hinges, f):
     """Adds minus the gradient of the energy to f (V, 3) [N]."""
-    g = np.empty((3, 6, 3))
-    t = np.empty(3)
+    count = hinges.vertices.shape[0]
+    if count == 0:
+        return
+    turned = np.empty(count)
+    g = np.empty((count, 4, 3))
+    turn_hinges(x, hinges, turned, g)
+    moments = np.zeros(count)
     for n in range(hinges.stencils.shape[0]):
-        stencil = hinges.stencils[n]
-        q = hinges.stiffness[n]
-        _patch_angles(x, stencil, q, hinges.rest[n], g, t)
-        m0 = q[0] * t[0] + q[1] * t[1] + q[2] * t[2]
-        m1 = q[1] * t[0] + q[3] * t[1] + q[4] * t[2]
-        m2 = q[2] * t[0] + q[4] * t[1] + q[5] * t[2]
-        for p in range(6):
-            for axis in range(3):
-                f[stencil[p], axis] -= m0 * g[0, p, axis] + m1 * g[1, p, axis] + m2 * g[2, p, axis]
+        weights = hinges.weights[n]
+        for a in range(3):
+            c = 0.0
+            for k in range(hinges.reach[n]):
+                c += weights[a, k] * turned[hinges.hinges[n, k]]
+            for k in range(hinges.reach[n]):
+                moments[hinges.hinges[n, k]] += weights[a, k] * c
+    for h in range(count):
+        for v in range(4):
+            i = hinges.vertices[h, v]
+            f[i, 0] -= moments[h] * g[h, v, 0]
+            f[i, 1] -= moments[h] * g[h, v, 1]
+            f[i, 2] -= moments[h] * g[h, v, 2]
 
 
 @device
 def project_hinges(p, hinges, w, dt, multipliers, first):
-    """One Gauss-Seidel sweep of XPBD; the three angles of a patch are solved together, as in `project_membrane`.
+    """One Gauss-Seidel sweep of XPBD; the three curvatures of a patch are solved together.
+
+    The terms have unit compliance, since their weights hold the rigidity: (1 + dt^2 J W J^T) change = -(multipliers +
+    dt^2 c). Angles and gradients are those at the start of the sweep; within it, angles change along their gradients.
 
     Args:
         p: (V, 3) [m], changed.
         w: (V,) inverse masses [1/kg].
-        multipliers: (C,) [N m s^2]; three a patch from `first` on.
+        multipliers: (C,) [(N m)^(1/2) s^2]; three a patch from `first` on.
     """
+    count = hinges.vertices.shape[0]
+    if count == 0:
+        return
+    turned = np.empty(count)
+    g = np.empty((count, 4, 3))
+    turn_hinges(p, hinges, turned, g)
+    start = p.copy()
+    rows = np.empty((3, 12, 3))
+    c = np.empty(3)
     square = dt * dt
-    g = np.empty((3, 6, 3))
-    t = np.empty(3)
     for n in range(hinges.stencils.shape[0]):
         stencil = hinges.stencils[n]
-        q = hinges.stiffness[n]
-        _patch_angles(p, stencil, q, hinges.rest[n], g, t)
+        patch_rows(hinges, n, turned, g, rows, c)
+        size = 6 if hinges.reach[n] == 3 else 12
         m00 = 0.0
         m01 = 0.0
         m02 = 0.0
         m11 = 0.0
         m12 = 0.0
         m22 = 0.0
-        for v in range(6):
-            wv = w[stencil[v]]
+        for v in range(size):
+            i = stencil[v]
+            wv = square * w[i]
             for axis in range(3):
-                m00 += wv * g[0, v, axis] * g[0, v, axis]
-                m01 += wv * g[0, v, axis] * g[1, v, axis]
-                m02 += wv * g[0, v, axis] * g[2, v, axis]
-                m11 += wv * g[1, v, axis] * g[1, v, axis]
-                m12 += wv * g[1, v, axis] * g[2, v, axis]
-                m22 += wv * g[2, v, axis] * g[2, v, axis]
-        k00 = square * q[0]
-        k01 = square * q[1]
-        k02 = square * q[2]
-        k11 = square * q[3]
-        k12 = square * q[4]
-        k22 = square * q[5]
+                r0 = rows[0, v, axis]
+                r1 = rows[1, v, axis]
+                r2 = rows[2, v, axis]
+                m00 += wv * r0 * r0
+                m01 += wv * r0 * r1
+                m02 += wv * r0 * r2
+                m11 += wv * r1 * r1
+                m12 += wv * r1 * r2
+                m22 += wv * r2 * r2
+                moved = p[i, axis] - start[i, axis]
+                c[0] += r0 * moved
+                c[1] += r1 * moved
+                c[2] += r2 * moved
         at = first + 3 * n
-        r0, r1, r2 = solve3(
-            1.0 + k00 * m00 + k01 * m01 + k02 * m02, k00 * m01 + k01 * m11 + k02 * m12, k00 * m02 + k01 * m12 + k02 * m22,
-            k01 * m00 + k11 * m01 + k12 * m02, 1.0 + k01 * m01 + k11 * m11 + k12 * m12, k01 * m02 + k11 * m12 + k12 * m22,
-            k02 * m00 + k12 * m01 + k22 * m02, k02 * m01 + k12 * m11 + k22 * m12, 1.0 + k02 * m02 + k12 * m12 + k22 * m22,
-            -multipliers[at] - k00 * t[0] - k01 * t[1] - k02 * t[2],
-            -multipliers[at + 1] - k01 * t[0] - k11 * t[1] - k12 * t[2],
-            -multipliers[at + 2] - k02 * t[0] - k12 * t[1] - k22 * t[2],
+        z0, z1, z2 = solve3(
+            1.0 + m00, m01, m02, m01, 1.0 + m11, m12, m02, m12, 1.0 + m22,
+            -multipliers[at] - square * c[0], -multipliers[at + 1] - square * c[1], -multipliers[at + 2] - square * c[2],
         )  # fmt: skip
-        multipliers[at] += r0
-        multipliers[at + 1] += r1
-        multipliers[at + 2] += r2
-        for v in range(6):
-            wv = w[stencil[v]]
+        multipliers[at] += z0
+        multipliers[at + 1] += z1
+        multipliers[at + 2] += z2
+        for v in range(size):
+            i = stencil[v]
             for axis in range(3):
-                p[stencil[v], axis] += wv * (r0 * g[0, v, axis] + r1 * g[1, v, axis] + r2 * g[2, v, axis])
+                p[i, axis] += w[i] * (z0 * rows[0, v, axis] + z1 * rows[1, v, axis] + z2 * rows[2, v, axis])
+
+
+@kernel
+def hinge_rows(x, cloth, rows):
+    """Factors of `hinge_hessian`: blocks[n, i, j] = sum_a rows[n, a, i] rows[n, a, j]^T.
+
+    Args:
+        x: (V, 3) [m].
+        cloth: `ClothArrays`; stencils are cloth.hinges.stencils (N, 12).
+        rows: (N, 3, 12, 3) [(N/m)^(1/2)], written.
+    """
+    hinges = cloth.hinges
+    count = hinges.vertices.shape[0]
+    turned = np.empty(count)
+    g = np.empty((count, 4, 3))
+    turn_hinges(x, hinges, turned, g)
+    c = np.empty(3)
+    for n in range(hinges.stencils.shape[0]):
+        patch_rows(hinges, n, turned, g, rows[n], c)
 
 
 @kernel
@@ -209,27 +273,26 @@ def hinge_hessian(x, cloth, blocks):
 
     Args:
         x: (V, 3) [m].
-        cloth: `ClothArrays`; stencils are cloth.hinges.stencils (N, 6).
-        blocks: (N, 6, 6, 3, 3) [N/m], written: blocks[n, i, j] = sum_ab Q_ab grad_i t_a grad_j t_b^T.
+        cloth: `ClothArrays`; stencils are cloth.hinges.stencils (N, 12).
+        blocks: (N, 12, 12, 3, 3) [N/m], written: blocks[n, i, j] = d^2 E / dx_i dx_j.
     """
     hinges = cloth.hinges
-    g = np.empty((3, 6, 3))
-    t = np.empty(3)
-    h = np.empty((3, 6, 3))
+    count = hinges.vertices.shape[0]
+    turned = np.empty(count)
+    g = np.empty((count, 4, 3))
+    turn_hinges(x, hinges, turned, g)
+    rows = np.empty((3, 12, 3))
+    c = np.empty(3)
     for n in range(hinges.stencils.shape[0]):
-        q = hinges.stiffness[n]
-        _patch_angles(x, hinges.stencils[n], q, hinges.rest[n], g, t)
-        for i in range(6):
-            for axis in range(3):
-                h[0, i, axis] = q[0] * g[0, i, axis] + q[1] * g[1, i, axis] + q[2] * g[2, i, axis]
-                h[1, i, axis] = q[1] * g[0, i, axis] + q[3] * g[1, i, axis] + q[4] * g[2, i, axis]
-                h[2, i, axis] = q[2] * g[0, i, axis] + q[4] * g[1, i, axis] + q[5] * g[2, i, axis]
-        for i in range(6):
-            for j in range(6):
+        patch_rows(hinges, n, turned, g, rows, c)
+        for i in range(12):
+            for j in range(12):
                 for r in range(3):
                     for s in range(3):
                         blocks[n, i, j, r, s] = (
-                            g[0, i, r] * h[0, j, s] + g[1, i, r] * h[1, j, s] + g[2, i, r] * h[2, j, s]
+                            rows[0, i, r] * rows[0, j, s]
+                            + rows[1, i, r] * rows[1, j, s]
+                            + rows[2, i, r] * rows[2, j, s]
                         )
 
 
@@ -241,7 +304,7 @@ def quadratic_energy(x, quadratic):
         for a in range(3):
             for axis in range(3):
                 c = 0.0
-                for v in range(6):
+                for v in range(quadratic.reach[n]):
                     c += quadratic.weights[n, a, v] * x[quadratic.stencils[n, v], axis]
                 total += 0.5 * c * c
     return total
@@ -256,9 +319,9 @@ def add_quadratic_forces(x, quadratic, f):
             weights = quadratic.weights[n, a]
             for axis in range(3):
                 c = 0.0
-                for v in range(6):
+                for v in range(quadratic.reach[n]):
                     c += weights[v] * x[stencil[v], axis]
-                for v in range(6):
+                for v in range(quadratic.reach[n]):
                     f[stencil[v], axis] -= weights[v] * c
 
 
@@ -281,7 +344,7 @@ def project_quadratic(p, quadratic, w, dt, multipliers, first):
         m11 = 0.0
         m12 = 0.0
         m22 = 0.0
-        for v in range(6):
+        for v in range(quadratic.reach[n]):
             wv = square * w[stencil[v]]
             m00 += wv * weights[0, v] * weights[0, v]
             m01 += wv * weights[0, v] * weights[1, v]
@@ -293,7 +356,7 @@ def project_quadratic(p, quadratic, w, dt, multipliers, first):
             c0 = 0.0
             c1 = 0.0
             c2 = 0.0
-            for v in range(6):
+            for v in range(quadratic.reach[n]):
                 at = p[stencil[v], axis]
                 c0 += weights[0, v] * at
                 c1 += weights[1, v] * at
@@ -308,7 +371,7 @@ def project_quadratic(p, quadratic, w, dt, multipliers, first):
             multipliers[row] += r0
             multipliers[row + 1] += r1
             multipliers[row + 2] += r2
-            for v in range(6):
+            for v in range(quadratic.reach[n]):
                 p[stencil[v], axis] += w[stencil[v]] * (weights[0, v] * r0 + weights[1, v] * r1 + weights[2, v] * r2)
 
 
@@ -317,14 +380,14 @@ def quadratic_hessian(cloth, blocks):
     """Second derivatives of the quadratic bending energy: constant, positive semi-definite, exact.
 
     Args:
-        cloth: `ClothArrays`; stencils are cloth.quadratic.stencils (N, 6).
-        blocks: (N, 6, 6, 3, 3) [N/m], written: a multiple of the identity each.
+        cloth: `ClothArrays`; stencils are cloth.quadratic.stencils (N, 12).
+        blocks: (N, 12, 12, 3, 3) [N/m], written: a multiple of the identity each.
     """
     quadratic = cloth.quadratic
     for n in range(quadratic.stencils.shape[0]):
         weights = quadratic.weights[n]
-        for i in range(6):
-            for j in range(6):
+        for i in range(12):
+            for j in range(12):
                 value = weights[0, i] * weights[0, j] + weights[1, i] * weights[1, j] + weights[2, i] * weights[2, j]
                 for r in range(3):
                     for s in range(3):

@@ -1,0 +1,189 @@
+"""V11: what free flight keeps, whether the answer knows directions, places or numbers, and the stiffness by direction."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import clothgym as cg
+from clothgym.arrays import FloatArray
+from clothgym.benchmarks.frame import Case
+from clothgym.benchmarks.validation import bending as bends
+from clothgym.benchmarks.validation import known, measure
+from clothgym.benchmarks.validation.solvers import bendings, membranes, simulate, solvers, split
+from clothgym.scenes import validation as scenes
+
+ANGLES = (0, 45, 90)
+"""Directions in the sheet [degrees]."""
+_CELLS, _SIDE, _SECONDS = 5, 0.5, 0.1
+_EXACT = 1e-10
+"""Relative size that counts as rounding."""
+
+
+def cases(quick: bool) -> list[Case]:
+    """Free flight and convergence with every solver; stiffness by direction of every energy."""
+    listed = []
+    for solver in solvers():
+        listed.append(Case(f"flight/{solver}", {"family": "flight", "solver": solver, "seed": 1}))
+        listed.append(Case(f"invariance/{solver}", {"family": "invariance", "solver": solver, "seed": 1}))
+    for membrane in membranes():
+        listed.append(Case(f"stretch/{membrane}", {"family": "stretch", "membrane": membrane, "cells": 12}))
+    for kind in bendings():
+        if kind != "flexion":
+            listed.append(Case(f"bend/{kind}", {"family": "bend", "bending": kind, "cells": 12 if quick else 32}))
+    return listed
+
+
+def _sheet(seed: int, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[cg.Scene, FloatArray]:
+    """A crumpled, strained sheet that flies and turns, and its velocities."""
+    rng = np.random.default_rng(seed)
+    mesh = cg.grid(_SIDE, _SIDE, _CELLS, _CELLS)
+    start = mesh.vertices + rng.normal(0.0, 0.005, mesh.vertices.shape) + (0.0, 1.0, 0.0)
+    material = scenes.fabric(20.0, _CELLS, 10.0)
+    velocities = np.array([0.5, 1.0, -0.3]) + np.cross([2.0, -1.0, 3.0], start - start.mean(axis=0))
+    velocities += rng.normal(0.0, 0.1, velocities.shape)
+    cloth = cg.Cloth(cg.Mesh(start, mesh.faces, mesh.quads), material, (), mesh.vertices)
+    return cg.Scene([cloth], gravity=gravity, self_collision=False), velocities
+
+
+def _flown(scene: cg.Scene, velocities: FloatArray, solver: str, dt: float, samples: int = 1) -> cg.Simulation:
+    simulation = simulate(scene, solver, dt, _SECONDS / samples)
+    simulation.set_velocities(velocities)
+    return simulation
+
+
+def _state(simulation: cg.Simulation) -> FloatArray:
+    """Momentum (3), angular momentum about the origin (3), energy."""
+    m, x, v = simulation.model.masses[:, None], simulation.positions, simulation.velocities
+    numbers = simulation.metrics()
+    total = numbers["kinetic_energy"] + numbers["potential_energy"]
+    return np.concatenate([(m * v).sum(axis=0), np.cross(x, m * v).sum(axis=0), [total]])
+
+
+def flight(solver: str, seed: int) -> dict[str, Any]:
+    """Drift of momentum, angular momentum and energy, the fall of the centre of mass, order of convergence in the step."""
+    integrator = split(solver)[0]
+    scene, velocities = _sheet(seed)
+    steps = [1e-3 / 2**n for n in range(4)]
+    ends, spins, wobbles, drifts = [], [], [], []
+    for dt in steps:
+        simulation = _flown(scene, velocities, solver, dt, 50)
+        seen = measure.record(simulation, 50, _state)
+        m, v = simulation.model.masses[:, None], velocities
+        size = float((m * np.abs(v)).sum())
+        linear = float(np.abs(seen[-1, :3] - seen[0, :3]).max()) / size
+        spins.append(float(np.abs(seen[:, 3:6] - seen[0, 3:6]).max()) / size)
+        wobbles.append(float(np.abs(seen[:, 6] / seen[0, 6] - 1.0).max()))
+        drifts.append(float(seen[-10:, 6].mean() / seen[:10, 6].mean() - 1.0))
+        ends.append(simulation.positions.copy())
+    found = [measure.quantity("momentum lost / all", linear, 0.0, _EXACT, absolute=True)]
+    if integrator == "symplectic_euler":
+        found.append(measure.quantity("angular momentum lost / all [m]", max(spins), 0.0, _EXACT, absolute=True))
+    else:
+        p = measure.order(steps, spins)
+        found.append(measure.at_least("order at which angular momentum is kept", p or math.nan, known.ORDERS[integrator] - 0.2))
+    p = measure.order(steps, wobbles)
+    found.append(measure.quantity("order of the change of energy", p, None))
+    found.append(measure.quantity("energy, last tenth / first - 1", drifts[-1], 0.0, absolute=True))
+    gaps = [float(np.abs(a - b).max()) for a, b in zip(ends, ends[1:])]
+    found.append(
+        measure.quantity("order in the time step", measure.order(steps[:-1], gaps), known.ORDERS[integrator], 0.15)
+    )
+    found.append(_fall(solver, seed))
+    return {
+        "quantities": found,
+        "order": {"steps": steps, "gaps": gaps, "energy": wobbles, "angular": spins, "energy_drift": drifts},
+    }
+
+
+def _fall(solver: str, seed: int) -> dict[str, Any]:
+    """Way of the centre of mass under gravity alone; one-step methods of first order are off by dt / t."""
+    scene, velocities = _sheet(seed, (0.0, -scenes.G, 0.0))
+    dt = 2.5e-4
+    simulation = _flown(scene, velocities, solver, dt)
+    m = simulation.model.masses / simulation.model.masses.sum()
+    before = m @ simulation.positions[:, 1] + _SECONDS * (m @ velocities[:, 1])
+    simulation.step()
+    way = float(m @ simulation.positions[:, 1] - before)
+    late = simulation.pipeline.dt / _SECONDS if known.ORDERS[split(solver)[0]] == 1 else 0.0
+    return measure.quantity("fall of the centre of mass [m]", way, -0.5 * scenes.G * _SECONDS**2 * (1.0 + late), 1e-6)
+
+
+def invariance(solver: str, seed: int) -> dict[str, Any]:
+    """Largest difference [m] of the end after turning, shifting or renumbering the start, turned back."""
+    scene, velocities = _sheet(seed)
+    cloth = scene.cloths[0]
+    dt = 2.5e-4
+
+    def end(start: FloatArray, rest: FloatArray, v: FloatArray, order: np.ndarray | None = None) -> FloatArray:
+        faces, quads = cloth.mesh.faces, cloth.mesh.quads
+        if order is not None:
+            number = np.argsort(order).astype(np.int32)
+            start, rest, v, faces, quads = start[order], rest[order], v[order], number[faces], number[quads]
+        changed = cg.Cloth(cg.Mesh(start, faces, quads), cloth.material, (), rest)
+        simulation = _flown(cg.Scene([changed], gravity=(0.0, 0.0, 0.0), self_collision=False), v, solver, dt)
+        simulation.step()
+        return simulation.positions.copy()
+
+    x, rest = cloth.mesh.vertices, cloth.rest
+    plain = end(x, rest, velocities)
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    turned = end(x @ turn.T, rest, velocities @ turn.T) @ turn
+    shift = np.array([0.5, -2.0, 0.25])
+    shifted = end(x + shift, rest, velocities) - shift
+    order = rng.permutation(len(x))
+    renumbered = end(x, rest, velocities, order)[np.argsort(order)]
+    gap = lambda other: float(np.abs(other - plain).max())  # noqa: E731
+    # sweeps go through springs in their order: what they leave unsolved depends on it
+    swept = split(solver)[0] in ("xpbd", "global", "implicit_euler")
+    return {
+        "quantities": [
+            measure.quantity("turned [m]", gap(turned), 0.0, 1e-9, absolute=True),
+            measure.quantity("shifted [m]", gap(shifted), 0.0, 1e-9, absolute=True),
+            measure.quantity("renumbered [m]", gap(renumbered), 0.0, 1e-5 if swept else 1e-9, absolute=True),
+        ]
+    }
+
+
+def stretch(membrane: str, cells: int) -> dict[str, Any]:
+    """Modulus of a sheet against a stretch in a direction, nothing across, from its energy [N/m]."""
+    modulus, shear, strain = 100.0, 25.0, 1e-4
+    mesh = cg.grid(1.0, 1.0, cells, cells)
+    material = scenes.fabric(modulus, cells, shear)
+    scene = cg.Scene([cg.Cloth(mesh, material)], gravity=(0.0, 0.0, 0.0), self_collision=False)
+    simulation = simulate(scene, "xpbd" if membrane == "springs" else f"xpbd+{membrane}", 1e-3, 1e-3)
+    found, moduli = [], []
+    for angle in ANGLES:
+        d = np.array([math.cos(math.radians(angle)), 0.0, math.sin(math.radians(angle))])
+        measured = bends.energy(simulation, mesh.vertices + strain * np.outer(mesh.vertices @ d, d)) / (0.5 * strain**2)
+        if membrane == "springs":
+            exact = known.lattice_modulus(material.stretch * (cells + 1) / cells, material.shear, angle)
+        else:
+            exact = known.orthotropic_modulus(modulus, modulus, shear, angle)
+        moduli.append(measured)
+        found.append(measure.quantity(f"modulus at {angle} degrees [N/m]", measured, exact, 1e-3))
+    return {"quantities": found, "angles": list(ANGLES), "moduli": moduli}
+
+
+def bend(bending: str, cells: int) -> dict[str, Any]:
+    """Rigidity of a sheet laid on a wide cylinder, by the direction in which it bends, from its energy [N m]."""
+    simulation, mesh = bends.bent_strip(bending, cells, cells)
+    side = 0.24
+    curvature = 0.02 * cells / side
+    found, rigidities = [], []
+    for angle in ANGLES:
+        d = np.array([math.cos(math.radians(angle)), 0.0, math.sin(math.radians(angle))])
+        along = mesh.vertices @ d
+        away = mesh.vertices - np.outer(along, d)
+        placed = away + np.outer(np.sin(curvature * along) / curvature, d)
+        placed[:, 1] += (1.0 - np.cos(curvature * along)) / curvature
+        measured = bends.energy(simulation, placed) / (0.5 * curvature**2 * side**2)
+        rigidities.append(measured)
+        # the border has no edge to bend over
+        exact = bends.RIGIDITY * (1.0 - 1.0 / cells)
+        found.append(measure.quantity(f"B at {angle} degrees [N m]", measured, exact, None if angle == 45 else 0.01))
+    return {"quantities": found, "angles": list(ANGLES), "moduli": rigidities}

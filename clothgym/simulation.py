@@ -15,8 +15,9 @@ from clothgym.body import Body
 from clothgym.errors import SimulationError
 from clothgym.fidelity import Fidelity
 from clothgym.model import ClothModel
-from clothgym.pipeline import Frame, Pipeline, assemble
+from clothgym.pipeline import Pipeline, assemble
 from clothgym.scene import Cloth, Scene
+from clothgym.stages.frame import Frame
 from clothgym.state import ClothState
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from clothgym._jit import device, kernel
 from clothgym.kernels.body_map import BodyMap, find_plane, side_of
 from clothgym.kernels.contact import project_contacts
+from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import (
     accelerate,
     add_grip_forces,
@@ -21,7 +22,6 @@ from clothgym.kernels.integrate import (
     hold_grips,
     keep_above_ground,
 )
-from clothgym.kernels.springs import project_springs
 
 _LEEWAY = 4e-3
 """[m] faces whose points are further from the body than this when a substep begins are left alone in its sweeps."""
@@ -226,7 +226,7 @@ def xpbd_substeps_on_body(x, v, p, cloth, radii, motion, ground, grips, multipli
         multipliers[:] = 0.0
         grips.multipliers[:] = 0.0
         for _ in range(motion.sweeps):
-            project_springs(p, cloth, motion.dt, multipliers)
+            project_elastic(p, cloth, motion.dt, multipliers)
             hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)
             keep_above_ground(x, p, w, radii, ground)
             keep_off_body(x, p, w, contact)
@@ -265,7 +265,7 @@ def solve_on_body(
     grips.multipliers[:] = 0.0
     for _ in range(motion.sweeps):
         if with_springs:
-            project_springs(p, cloth, motion.dt, multipliers)
+            project_elastic(p, cloth, motion.dt, multipliers)
         hold_grips(p, w, grips, motion.dt, (substep + 1) * motion.dt)
         project_contacts(x, p, w, contacts, count, friction, motion.dt)
         keep_above_ground(x, p, w, radii, ground)

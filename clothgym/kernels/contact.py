@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
+from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import hold_grips, keep_above_ground
 from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle
-from clothgym.kernels.springs import project_springs
 
 _ACTIVE = 1.25
 """Pairs predicted to come nearer than this many thicknesses are projected; the certificate watches over the others."""
@@ -30,6 +31,19 @@ class Contacts(NamedTuple):
     approach: NDArray  # (K,) predicted change of distance along the normal [m]
     pressed: NDArray  # (K,) accumulated normal multiplier
     dragged: NDArray  # (K, 3) accumulated friction multiplier
+
+
+NO_CONTACTS = Contacts(
+    np.zeros((0, 4), np.int32),
+    np.zeros((0, 4)),
+    np.zeros((0, 3)),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros((0, 3)),
+)
+"""Of a scene in which cloth touches no cloth."""
 
 
 @device
@@ -178,7 +192,7 @@ def solve(x, p, cloth, contacts, count, friction, radii, motion, ground, grips, 
     grips.multipliers[:] = 0.0
     for _ in range(motion.sweeps):
         if with_springs:
-            project_springs(p, cloth, motion.dt, multipliers)
+            project_elastic(p, cloth, motion.dt, multipliers)
         hold_grips(p, cloth.inverse_masses, grips, motion.dt, (substep + 1) * motion.dt)
         project_contacts(x, p, cloth.inverse_masses, contacts, count, friction, motion.dt)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)

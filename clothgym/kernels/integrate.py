@@ -12,7 +12,8 @@ from typing import NamedTuple
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
-from clothgym.kernels.springs import ClothArrays, add_spring_forces, project_springs
+from clothgym.kernels.elastic import add_elastic_forces, project_elastic
+from clothgym.kernels.springs import ClothArrays
 from clothgym.kernels.velocity_modification import modify_velocities
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "euler_predict",
     "euler_substeps",
     "finish",
+    "hold",
     "xpbd_predict",
     "xpbd_substeps",
 ]
@@ -123,7 +125,7 @@ def accelerate(x, v, p, cloth, motion):
 def euler_velocities(x, v, f, cloth, motion):
     """v += dt (f / m + g - c v) with spring forces [Vassilev 2001, eq. 1-3], then velocity modification."""
     f[:] = 0.0
-    add_spring_forces(x, cloth, f)
+    add_elastic_forces(x, cloth, f)
     wind = motion.external.shape[0] > 0
     for i in range(x.shape[0]):
         w = cloth.inverse_masses[i]
@@ -185,6 +187,15 @@ def finish(x, v, p, dt):
 
 
 @kernel
+def hold(x, p, inverse_masses, radii, motion, ground, grips, substep):
+    """Grips and ground on predicted positions p, for integrators that have solved everything else."""
+    start_grips(grips)
+    hold_grips(p, inverse_masses, grips, motion.dt, (substep + 1) * motion.dt)
+    keep_above_ground(x, p, inverse_masses, radii, ground)
+    add_grip_forces(grips, motion.dt)
+
+
+@kernel
 def xpbd_substeps(x, v, p, cloth, radii, motion, ground, grips, multipliers, first, count):
     """`count` substeps of XPBD without contacts between cloths, from substep `first` of the step on."""
     for n in range(first, first + count):
@@ -192,7 +203,7 @@ def xpbd_substeps(x, v, p, cloth, radii, motion, ground, grips, multipliers, fir
         multipliers[:] = 0.0
         start_grips(grips)
         for _ in range(motion.sweeps):
-            project_springs(p, cloth, motion.dt, multipliers)
+            project_elastic(p, cloth, motion.dt, multipliers)
             hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
             keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
         add_grip_forces(grips, motion.dt)

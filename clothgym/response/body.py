@@ -14,7 +14,7 @@ from clothgym.kernels.body_map import BodyMap
 from clothgym.model import ClothModel
 
 if TYPE_CHECKING:
-    from clothgym.pipeline import Frame
+    from clothgym.stages.frame import Frame
 
 REACH = 0.012
 """[m] a body is felt beside its outline by this much more than the tolerance: what a vertex may sink in a substep."""

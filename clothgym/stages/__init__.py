@@ -1,0 +1,1 @@
+"""Stages of a step, one file each; `pipeline.assemble` binds those that a scene requires."""

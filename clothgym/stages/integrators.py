@@ -1,0 +1,158 @@
+"""Integrators: what makes the positions p at the end of a substep out of positions x and velocities v.
+
+An integrator predicts p; grips, contact, ground and body then act on p, and the velocity becomes (p - x) / dt.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clothgym.fidelity import Fidelity
+from clothgym.kernels import integrate
+from clothgym.kernels.integrate import Ground, Motion
+from clothgym.model import ClothModel
+from clothgym.stages.frame import Frame
+
+if TYPE_CHECKING:
+    from clothgym.kernels.body_contact import BodyContact
+
+
+class Integrator:
+    """Any integrator; `run` and `run_on_body` are as good as `predict` lets them be, and some do better in one kernel.
+
+    Attributes:
+        substeps: how many a step has.
+        in_sweeps: whether the cloth's own forces are constraints, projected in every sweep of contact, and not in p yet.
+        multipliers: (C,) of those constraints [N s^2]; (0,) without.
+    """
+
+    in_sweeps = False
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        self.substeps = self._substeps(model, fidelity)
+        self.multipliers = np.zeros(0)
+
+    def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
+        """Parts of a step that the fidelity asks for, or as many as the scene needs if it leaves that open."""
+        raise NotImplementedError
+
+    def predict(self, frame: Frame, motion: Motion) -> None:
+        """Writes frame.predicted, and what of the velocities it goes by."""
+        raise NotImplementedError
+
+    def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:
+        """All substeps of a step without contact between cloths."""
+        state, w = frame.state, frame.model.inverse_masses
+        for n in range(self.substeps):
+            self.predict(frame, motion)
+            integrate.hold(state.positions, frame.predicted, w, radii, motion, ground, frame.grips, n)
+            integrate.finish(state.positions, state.velocities, frame.predicted, motion.dt)
+
+    def run_on_body(
+        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
+    ) -> None:
+        """The same with a body."""
+        from clothgym.kernels import body_contact
+        from clothgym.kernels.contact import NO_CONTACTS
+
+        state, model = frame.state, frame.model
+        x, v, p = state.positions, state.velocities, frame.predicted
+        for n in range(self.substeps):
+            self.predict(frame, motion)
+            body_contact.solve_on_body(
+                x, p, model.arrays, NO_CONTACTS, 0, 0.0, radii, motion, ground, frame.grips, self.multipliers, n,
+                self.in_sweeps, contact,
+            )  # fmt: skip
+            integrate.finish(x, v, p, motion.dt)
+            body_contact.answer_body(v, model.inverse_masses, contact, motion.dt)
+
+
+class SymplecticEuler(Integrator):
+    """Springs as forces: v from the forces at x, then p from the new v [Vassilev 2001, eq. 3]."""
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        super().__init__(model, fidelity)
+        self.forces = np.zeros((model.vertex_count, 3))
+
+    def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
+        limit, step = model.safe_time_step(), model.scene.step
+        if fidelity.substeps == 0:
+            return max(1, int(np.ceil(step / (0.9 * limit))))
+        if step / fidelity.substeps > limit:
+            raise ValueError(
+                f"fidelity.substeps = {fidelity.substeps}: a substep of {step / fidelity.substeps:.3g} s exceeds the "
+                f"stability limit of {limit:.3g} s of symplectic Euler for this scene; use at least "
+                f"{int(np.ceil(step / limit))} substeps, or 0 to choose them"
+            )
+        return fidelity.substeps
+
+    def predict(self, frame: Frame, motion: Motion) -> None:
+        state = frame.state
+        integrate.euler_predict(
+            state.positions, state.velocities, frame.predicted, self.forces, frame.model.arrays, motion
+        )
+
+    def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:
+        state = frame.state
+        integrate.euler_substeps(
+            state.positions, state.velocities, frame.predicted, self.forces, frame.model.arrays, radii, motion, ground,
+            frame.grips, 0, self.substeps,
+        )  # fmt: skip
+
+    def run_on_body(
+        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
+    ) -> None:
+        from clothgym.kernels import body_contact
+
+        state = frame.state
+        body_contact.euler_substeps_on_body(
+            state.positions, state.velocities, frame.predicted, self.forces, frame.model.arrays, radii, motion, ground,
+            frame.grips, contact, self.substeps,
+        )  # fmt: skip
+
+
+class Xpbd(Integrator):
+    """Springs as constraints with compliance, projected in sweeps [Macklin 2016, 2019]: stable at any step."""
+
+    in_sweeps = True
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        super().__init__(model, fidelity)
+        self.multipliers = np.zeros(len(model.spring_rest))
+
+    def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
+        return fidelity.substeps or 8
+
+    def predict(self, frame: Frame, motion: Motion) -> None:
+        state = frame.state
+        integrate.xpbd_predict(state.positions, state.velocities, frame.predicted, frame.model.arrays, motion)
+
+    def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:
+        state = frame.state
+        integrate.xpbd_substeps(
+            state.positions, state.velocities, frame.predicted, frame.model.arrays, radii, motion, ground, frame.grips,
+            self.multipliers, 0, self.substeps,
+        )  # fmt: skip
+
+    def run_on_body(
+        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
+    ) -> None:
+        from clothgym.kernels import body_contact
+
+        state = frame.state
+        body_contact.xpbd_substeps_on_body(
+            state.positions, state.velocities, frame.predicted, frame.model.arrays, radii, motion, ground, frame.grips,
+            self.multipliers, contact, self.substeps,
+        )  # fmt: skip
+
+
+def get(model: ClothModel, fidelity: Fidelity) -> Integrator:
+    """The integrator that a fidelity names, for a model.
+
+    Raises:
+        ValueError: substeps of symplectic Euler longer than the safe time step; the message states the limit.
+    """
+    kind = {"xpbd": Xpbd, "symplectic_euler": SymplecticEuler}[fidelity.integrator]
+    return kind(model, fidelity)

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 from scipy.special import eval_laguerre, roots_laguerre
 
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import FloatArray
 from clothgym.body import Body
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
@@ -27,6 +28,8 @@ DISC, SPECIMEN = 0.09, 0.15
 """Radii of the disc and of the specimen of a Cusick drape test [m]."""
 CLEARANCE = 3e-3
 """Distance from a body at which sheets start [m]: the default of `Fidelity.body_tolerance`."""
+
+Pins = NDArray[np.integer]
 
 
 def fabric(modulus: float, columns: int, shear: float = 0.0, bending: float = 0.0, **others: float) -> Material:
@@ -71,7 +74,9 @@ def _bias_strip(length: float, columns: int, rows: int) -> tuple[Mesh, FloatArra
     return Mesh(flat, np.array(faces, np.int32), np.array(quads, np.int32)), along, across
 
 
-def _cloth(mesh: Mesh, start: tuple[FloatArray, ...], material: Material, pins: IntArray, equal: bool = True) -> Cloth:
+def _cloth(
+    mesh: Mesh, start: tuple[FloatArray, ...], material: Material, pins: NDArray[np.integer], equal: bool = True
+) -> Cloth:
     """A cloth that starts at (x, y, z); the mesh is its rest shape."""
     placed = Mesh(np.stack(start, axis=1), mesh.faces, mesh.quads)
     return Cloth(placed, material, pins.tolist(), mesh.vertices, "strip", equal_masses=equal)

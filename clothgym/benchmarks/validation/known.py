@@ -16,26 +16,35 @@ from clothgym.arrays import FloatArray
 # One mass on a spring: z = i w dt
 
 
-def growth(integrator: str, phase: float) -> complex:
+def growth(method: str, phase: float) -> complex:
     """Factor by which a step of `phase` = w dt multiplies the complex amplitude of an undamped linear oscillator.
 
-    For symplectic Euler the eigenvalue of its map; for the implicit methods 1 / (1 - z), since one spring converges.
+    For symplectic Euler the eigenvalue of its map; for the implicit methods of order 1 that of implicit Euler, since one
+    spring converges; for the one of order 2 that of its two diagonally implicit stages.
 
     Raises:
-        KeyError: an integrator without a formula here.
+        KeyError: a method without a formula here.
     """
     z = 1j * phase
+    stage = 1.0 - math.sqrt(0.5)
     return {
         "symplectic_euler": lambda: cmath.exp(2j * math.asin(0.5 * phase)),
         "runge_kutta": lambda: 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24,
         "xpbd": lambda: 1 / (1 - z),
         "implicit_euler": lambda: 1 / (1 - z),
+        "implicit_euler:2": lambda: (1 + (1 - 2 * stage) * z) / (1 - stage * z) ** 2,
         "global": lambda: 1 / (1 - z),
-    }[integrator]()
+    }[_method(method)]()
 
 
-ORDERS = {"symplectic_euler": 1, "runge_kutta": 4, "xpbd": 1, "implicit_euler": 1, "global": 1}
-"""Order of convergence in the time step."""
+def order(solver: str) -> int:
+    """Order of convergence of a solver in the time step."""
+    return {"runge_kutta": 4, "implicit_euler:2": 2}.get(_method(solver), 1)
+
+
+def _method(solver: str) -> str:
+    """Integrator of a solver's name, and its variant where that changes the answer."""
+    return solver.partition("+")[0].removesuffix(":float32")
 
 
 def symplectic_energy_range(phase: float) -> tuple[float, float]:
@@ -150,5 +159,5 @@ def slide_distance(angle: float, friction: float, time: float, gravity: float) -
 
 
 def creep_speed(slide: float, angle: float, dt: float, gravity: float) -> float:
-    """[m/s] at which [Vassilev 2001] eq. 12 lets a sheet creep down any slope: v = C (v + g dt sin), so C g dt sin / (1 - C)."""
+    """[m/s] at which [Vassilev 2001] eq. 12 lets a sheet creep down any slope: v = C (v + g dt sin)."""
     return slide * gravity * math.sin(math.radians(angle)) * dt / (1.0 - slide)

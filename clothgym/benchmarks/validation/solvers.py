@@ -15,6 +15,12 @@ EXPLICIT = ("symplectic_euler", "runge_kutta")
 """Integrators with a largest stable time step."""
 IMPLICIT = ("implicit_euler", "global")
 """Integrators that stay accurate at rest with long time steps."""
+VARIANTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "": ((), {}),
+    "2": (("implicit_euler",), {"time_order": 2}),
+    "float32": (("xpbd", "symplectic_euler"), {"precision": "float32"}),
+}
+"""Variants of integrators by the name after the colon: who has them, and what they set."""
 _PLAIN = {"untangling": "none", "contacts_near_hits": "keep"}
 _KNOWN = {field.name for field in dataclasses.fields(Fidelity)}
 
@@ -34,43 +40,51 @@ def bendings() -> tuple[str, ...]:
 
 
 def solvers(membrane: str | None = None) -> list[str]:
-    """Names "integrator" (with springs) and "integrator+membrane" of all that Fidelity accepts."""
+    """Names "integrator", "integrator:variant", with "+membrane" for all but springs, of all that Fidelity accepts."""
     found = []
     for kind in membranes() if membrane is None else (membrane,):
         for integrator in INTEGRATORS:
-            name = integrator if kind == "springs" else f"{integrator}+{kind}"
-            try:
-                fidelity(name)
-            except (ValueError, NotAvailable):
-                continue
-            found.append(name)
+            for variant in VARIANTS:
+                name = integrator + (f":{variant}" if variant else "") + ("" if kind == "springs" else f"+{kind}")
+                if variant and integrator not in VARIANTS[variant][0]:
+                    continue
+                try:
+                    fidelity(name)
+                except (ValueError, NotAvailable):
+                    continue
+                found.append(name)
     return found
 
 
-def split(solver: str) -> tuple[str, str]:
-    """Integrator and membrane of a name."""
-    integrator, _, membrane = solver.partition("+")
-    return integrator, membrane or "springs"
+def split(solver: str) -> tuple[str, str, str]:
+    """Integrator, variant and membrane of a name."""
+    method, _, membrane = solver.partition("+")
+    integrator, _, variant = method.partition(":")
+    return integrator, variant, membrane or "springs"
 
 
 def fidelity(solver: str, bending: str = "none", **fields: Any) -> Fidelity:
-    """The settings of a solver.
+    """The settings of a solver; what it solves, it solves far below the errors that are looked for.
 
     Raises:
-        NotAvailable: Fidelity has no such membrane or bending energy.
+        NotAvailable: Fidelity has no such membrane, bending energy or variant.
         ValueError: a setting that it does not take.
     """
-    integrator, membrane = split(solver)
+    integrator, variant, membrane = split(solver)
     chosen: dict[str, Any] = {**_PLAIN, "integrator": integrator, "substeps": 0 if integrator in EXPLICIT else 8}
-    if "membrane" in _KNOWN:
-        chosen["membrane"] = membrane
-    elif membrane != "springs":
-        raise NotAvailable(f"no membrane {membrane!r} in this version")
-    if "bending" in _KNOWN:
-        chosen["bending"] = bending
-    elif bending not in ("none", "flexion"):
-        raise NotAvailable(f"no bending energy {bending!r} in this version")
-    return Fidelity(**(chosen | fields))
+    if integrator in IMPLICIT:
+        chosen |= {"time_order": 1, "tolerance": 1e-7}
+    wanted = {"membrane": membrane, "bending": bending, **VARIANTS[variant][1]}
+    for name, value in wanted.items():
+        if name not in _KNOWN and value not in ("springs", "none", "flexion"):
+            raise NotAvailable(f"no {name} {value!r} in this version")
+    chosen |= wanted | fields
+    return Fidelity(**{name: value for name, value in chosen.items() if name in _KNOWN})
+
+
+def rounding(solver: str) -> float:
+    """Relative size that counts as rounding: double precision accumulates over thousands of steps."""
+    return 1e-3 if split(solver)[1] == "float32" else 1e-9
 
 
 def simulate(scene: Scene, solver: str, dt: float, every: float, bending: str = "none", **fields: Any) -> cg.Simulation:

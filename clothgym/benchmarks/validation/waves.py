@@ -11,7 +11,6 @@ import clothgym as cg
 from clothgym.benchmarks.frame import Case
 from clothgym.benchmarks.validation import known, measure
 from clothgym.benchmarks.validation.solvers import simulate, solvers
-from clothgym.model import ClothModel
 from clothgym.scenes import validation as scenes
 
 MODULUS = 100.0
@@ -47,7 +46,7 @@ def wave(solver: str, number: int) -> dict[str, Any]:
         cg.Mesh(start, mesh.faces, mesh.quads), scenes.fabric(MODULUS, 1), pins, mesh.vertices, equal_masses=True
     )
     scene = cg.Scene([cloth], gravity=_STILL, self_collision=False)
-    exact = known.spring_wave(MODULUS, 2.0 * float(ClothModel(scene).masses[0]), phase)
+    exact = known.spring_wave(MODULUS, scenes.DENSITY / cells / (cells + 1), phase)
     every = 2.0 * math.pi / exact / 100
     simulation = simulate(scene, solver, 0.02 / exact, every)
     rest = mesh.vertices[:, 2]
@@ -71,10 +70,14 @@ def membrane(solver: str, modes: list[int], cells: int) -> dict[str, Any]:
     material = scenes.fabric(MODULUS * (cells + 1) / cells, cells)
     start = flat + 3e-5 * np.outer(shape, (0.0, 1.0, 0.0))
     cloth = cg.Cloth(
-        cg.Mesh(start, mesh.faces, mesh.quads), material, np.flatnonzero(border).tolist(), mesh.vertices, equal_masses=True
+        cg.Mesh(start, mesh.faces, mesh.quads),
+        material,
+        np.flatnonzero(border).tolist(),
+        mesh.vertices,
+        equal_masses=True,
     )
     scene = cg.Scene([cloth], gravity=_STILL, self_collision=False)
-    mass, spacing = float(ClothModel(scene).masses[0]), (1.0 + stretch) / cells
+    mass, spacing = scenes.DENSITY / (cells + 1) ** 2, (1.0 + stretch) / cells
     pull = MODULUS * stretch / (1.0 + stretch)
     phases = (math.pi * modes[0] / cells, math.pi * modes[1] / cells)
     exact = known.lattice_membrane_frequency(pull, mass, phases)

@@ -289,14 +289,15 @@ def _row(family: str, measured: float, target: float, **parameters: Any) -> dict
 
 
 def test_tables_tell_what_is_missed_and_what_is_lacking():
-    cantilever = {"bending": "hinge", "load": 10, "grain": "0"}
-    rows = [_row("cantilever", 1.0 + 0.3 / n, 0.01, rows=n, **cantilever) for n in (8, 16, 32)]
-    rows += [_row("cantilever", 1.1, 0.01, rows=32, **{**cantilever, "grain": grain}) for grain in ("45", "90")]
+    cantilever = {"bending": "hinge", "load": 10}
+    rows = [_row("cantilever", 1.0 + 0.3 / n, 0.01, rows=n, columns=2, grain="0", **cantilever) for n in (8, 16, 32)]
+    turned = (("0", 1.0), ("45", 1.1), ("90", 1.2))
+    rows += [_row("cantilever", h, 0.01, rows=32, columns=6, grain=grain, **cantilever) for grain, h in turned]
     lacking = _row("drape", 1.0, 0.1, bending="hinge")
     lacking["result"] = {"available": False, "reason": "no bending 'hinge' in this version", "quantities": []}
     found = {table.title: table for table in shown.tables([*rows, lacking])}
     summary = found["Known answers, by solver"].rows[0]
-    assert summary[:3] == ("xpbd, hinge", 10, 2) and "H / L" in summary[4] and "more" in summary[4]
+    assert summary[:3] == ("xpbd, hinge", 12, 4) and "H / L" in summary[4] and "more" in summary[4]
     assert found["Refinement"].rows[0][-1] == pytest.approx(1.0)
-    assert found["Anisotropy"].rows[0][2:] == pytest.approx((1.0 + 0.3 / 32, 1.1, 1.1, 1.1 / (1.0 + 0.3 / 32)))
+    assert found["Anisotropy"].rows[0][2:] == pytest.approx((1.0, 1.1, 1.2, 1.1))
     assert found["Not available"].rows == [("drape/xpbd/hinge", "no bending 'hinge' in this version")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -22,39 +23,42 @@ _TARGET = 0.01
 
 def cases(quick: bool) -> list[Case]:
     """Cantilevers of several loads, and M(kappa) of every bending energy."""
-    loads = (1, 10, 100) if quick else (1, 2, 5, 8, 10, 20, 50, 100)
-    rows = 16 if quick else 32
+    loads = (10,) if quick else (1, 2, 5, 8, 10, 20, 50, 100)
+    rows = 12 if quick else 32
     stiff = [name for name in STIFF if name in bendings()] or ["hinge"]
     listed = []
     for membrane in membranes():
-        for solver in solvers(membrane):
-            for bending in stiff[:1] if quick else stiff:
-                settings = {"family": "cantilever", "solver": solver, "bending": bending, "rows": rows, "grain": "0"}
+        for number, solver in enumerate(solvers(membrane)):
+            for bending in stiff[:1] if quick and number else stiff:
                 key = f"{bending}/{solver}"
-                listed += [Case(f"cantilever/{load}/{key}", {**settings, "load": load}) for load in loads]
-                if quick or solver != solvers(membrane)[0]:
+                shape = {"rows": rows, "columns": 2, "grain": "0"}
+                settings = {"family": "cantilever", "solver": solver, "bending": bending, **shape}
+                # other solvers have the same energy, and so the same rest: three loads show it
+                asked = loads if number == 0 else [load for load in loads if load in (1, 10, 100)]
+                listed += [Case(f"cantilever/{load}/{key}", {**settings, "load": load}) for load in asked]
+                if quick or number:
                     continue
-                # refinement and grain with one integrator: all converge to the same rest
                 listed += [
                     Case(f"cantilever/10/{n} rows/{key}", {**settings, "load": 10, "rows": n}) for n in (8, 16, 64)
                 ]
                 listed += [
-                    Case(f"cantilever/10/{grain} degrees/{key}", {**settings, "load": 10, "grain": grain})
-                    for grain in ("45", "90")
+                    Case(f"cantilever/10/{grain} degrees/{key}", {**settings, "load": 10, "grain": grain, "columns": 6})
+                    for grain in ("0", "45", "90")
                 ]
     for bending in ("flexion", *stiff):
         listed += [Case(f"moment/{bending}", {"family": "moment", "bending": bending, "rows": 24})]
     return listed
 
 
-def cantilever(solver: str, bending: str, load: float, rows: int, grain: str) -> dict[str, Any]:
+def cantilever(solver: str, bending: str, load: float, rows: int, columns: int, grain: str) -> dict[str, Any]:
     """Depth of the tip over the length, and over its reach."""
-    scene = scenes.cantilever(float(load), rows, 2, 0.2, grain)
-    dt = 1e-3 if split(solver)[0] in IMPLICIT else 3e-3 / rows**2
+    scene = scenes.cantilever(float(load), rows, columns, 0.2, grain)
+    # sweeps converge where a substep is short against the fastest bending; explicit solvers shorten it to what is stable
+    dt = 2e-3 if split(solver)[0] in IMPLICIT else min(0.05 * math.sqrt(load) / rows**2, 3e-3 / rows)
     simulation = simulate(scene, solver, dt, 1.0 / 60.0, bending)
     start = scene.start
     clamp = float(start[simulation.model.inverse_masses == 0, 2].mean())
-    left = measure.settle(simulation, scene.duration, 1e-6)
+    left = measure.settle(simulation, scene.duration, 1e-5)
     tip = simulation.positions[start[:, 2] > start[:, 2].max() - 1e-9].mean(axis=0)
     length = float(start[:, 2].max()) - clamp
     depth, reach = -tip[1] / length, (tip[2] - clamp) / length

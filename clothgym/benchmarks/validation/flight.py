@@ -25,7 +25,9 @@ def cases(quick: bool) -> list[Case]:
     """Free flight and convergence with every solver; stiffness by direction of every energy."""
     listed = []
     for solver in solvers():
-        listed.append(Case(f"flight/{solver}", {"family": "flight", "solver": solver, "seed": 1, "levels": 3 if quick else 4}))
+        listed.append(
+            Case(f"flight/{solver}", {"family": "flight", "solver": solver, "seed": 1, "levels": 3 if quick else 4})
+        )
         listed.append(Case(f"invariance/{solver}", {"family": "invariance", "solver": solver, "seed": 1}))
     for membrane in membranes():
         listed.append(Case(f"stretch/{membrane}", {"family": "stretch", "membrane": membrane, "cells": 12}))

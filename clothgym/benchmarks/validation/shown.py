@@ -129,7 +129,7 @@ def _refinement(rows: list[Row]) -> Table:
         p = row["parameters"]
         if p["family"] == "catenary" and p["slack"] == 1.25:
             groups.setdefault(("sag of a catenary", _solver(row)), {})[p["links"]] = _first_error(row)
-        if p["family"] == "cantilever" and p["load"] == 10 and p["grain"] == "0":
+        if p["family"] == "cantilever" and p["load"] == 10 and p["columns"] == 2:
             groups.setdefault(("H / L of a cantilever at load 10", _solver(row)), {})[p["rows"]] = _first_error(row)
     cells = []
     for (what, solver), errors in groups.items():
@@ -150,11 +150,8 @@ def _directions(rows: list[Row]) -> Table:
             cells.append((what, _solver(row), *values, values[1] / values[0]))
     grains: dict[str, dict[str, Row]] = {}
     for row in _of(rows, "cantilever"):
-        p = row["parameters"]
-        if p["load"] == 10:
-            best = grains.setdefault(_solver(row), {})
-            if p["grain"] != "0" or p["rows"] == max(r["parameters"]["rows"] for r in _same_grain(rows, row)):
-                best[p["grain"]] = row
+        if row["parameters"]["columns"] == 6:
+            grains.setdefault(_solver(row), {})[row["parameters"]["grain"]] = row
     for solver, found in grains.items():
         if len(found) == 3:
             values = [found[grain]["result"]["quantities"][0]["measured"] for grain in ("0", "45", "90")]
@@ -164,16 +161,6 @@ def _directions(rows: list[Row]) -> Table:
         "By the angle between the direction and the sides of the cells; 1 in the last column = no direction stands out."
     )
     return Table("Anisotropy", columns, cells, note)
-
-
-def _same_grain(rows: list[Row], row: Row) -> list[Row]:
-    """The other cantilevers of that solver, load and grain, at 32 rows or the most that a quick run has."""
-    p = row["parameters"]
-    return [
-        r
-        for r in _of(rows, "cantilever")
-        if _solver(r) == _solver(row) and r["parameters"]["grain"] == p["grain"] and r["parameters"]["rows"] <= 32
-    ]
 
 
 def _drapes(rows: list[Row]) -> Table:
@@ -252,7 +239,7 @@ def _plot_cantilever(rows: list[Row], folder: Path) -> Path | None:
     groups: dict[str, list[tuple[float, float]]] = {}
     for row in _of(rows, "cantilever"):
         p = row["parameters"]
-        if p["grain"] == "0" and p["rows"] in (16, 32):
+        if p["columns"] == 2 and p["rows"] in (12, 32):
             groups.setdefault(_solver(row), []).append((p["load"], row["result"]["quantities"][1]["measured"]))
     if not groups:
         return None

@@ -73,9 +73,9 @@ def cantilever(solver: str, bending: str, load: float, rows: int, columns: int, 
     }
 
 
-def bent_strip(bending: str, rows: int, columns: int) -> tuple[cg.Simulation, cg.Mesh]:
-    """A flat strip, 0.24 m long, without gravity; flexion springs of 1 N/m or the rigidity."""
-    mesh = cg.grid(0.24 * columns / rows, 0.24, columns, rows)
+def bent_strip(bending: str, rows: int, columns: int, length: float = 0.24) -> tuple[cg.Simulation, cg.Mesh]:
+    """A flat strip without gravity, and its mesh; flexion springs of 1 N/m or the rigidity."""
+    mesh = cg.grid(length * columns / rows, length, columns, rows)
     if bending == "flexion":
         material = scenes.fabric(1.0, columns, 0.5, flexion=1.0)
     else:

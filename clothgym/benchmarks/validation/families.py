@@ -42,7 +42,7 @@ def prepare() -> None:
     """Compiles every kernel that a case uses, with one small case of each family and solver."""
     seen = set()
     for case in cases(True):
-        kind = case.parameters["family"], case.parameters.get("solver"), case.parameters.get("bending")
+        kind = tuple(case.parameters.get(name) for name in ("family", "solver", "bending", "plane"))
         if kind[0] in ("column", "incline", "stretch", "cantilever") and kind not in seen:
             seen.add(kind)
             run({**case.parameters, **({"rounds": 1} if kind[0] == "incline" else {})})

@@ -66,8 +66,8 @@ def membrane(solver: str, modes: list[int], cells: int) -> dict[str, Any]:
     shape = np.sin(math.pi * modes[0] * place[:, 0] / cells) * np.sin(math.pi * modes[1] * place[:, 1] / cells)
     border = ((place == 0) | (place == cells)).any(axis=1)
     shape[border] = 0.0
-    # springs of a plane sheet are as stiff as its modulus inside
-    material = scenes.fabric(MODULUS * (cells + 1) / cells, cells)
+    # inside a sheet springs are as stiff as the modulus, and its border is held
+    material = scenes.fabric(MODULUS, cells, stretch=MODULUS)
     start = flat + 3e-5 * np.outer(shape, (0.0, 1.0, 0.0))
     cloth = cg.Cloth(
         cg.Mesh(start, mesh.faces, mesh.quads),

@@ -30,6 +30,8 @@ from clothgym.benchmarks.validation import (
     waves,
 )
 from clothgym.benchmarks.validation import solvers as solving
+from clothgym.mesh import face_areas
+from clothgym.scenes import validation as scenes
 
 G = 9.81
 SOLVERS = solving.solvers("springs")
@@ -160,6 +162,17 @@ def test_creep_and_slides():
     assert known.slide_distance(90, 0.3, 2.0, G) == pytest.approx(2.0 * G)
 
 
+def test_capstan_is_eulers_but_for_the_weight_on_the_cylinder():
+    assert known.capstan_ratio(0.3, 1e-9, 0.3) == pytest.approx(math.exp(0.3 * math.pi), rel=1e-8)
+    # T' - mu T = w R (mu cos - sin) has an exponential and one particular solution
+    mu, radius, length = 0.4, 0.05, 0.2
+    # particular: R (a cos + b sin)
+    a, b = (1.0 - mu * mu) / (1.0 + mu * mu), 2.0 * mu / (1.0 + mu * mu)
+    assert b - mu * a == pytest.approx(mu) and -a - mu * b == pytest.approx(-1.0)
+    start = (length + radius * b) * math.exp(mu * math.pi)
+    assert known.capstan_ratio(mu, radius, length) == pytest.approx((start + radius * b) / length, rel=1e-7)
+
+
 # ---------------------------------------------------------------------------------------------------------------
 # measuring
 
@@ -175,6 +188,35 @@ def test_measures():
     assert measure.quantity("q", 1.02, 1.0)["met"] is None
     assert measure.quantity("q", None, 1.0, 0.5)["met"] is False
     assert measure.quantity("q", 0.02, 0.0, 0.01, absolute=True)["error"] == 0.02
+
+
+@pytest.mark.parametrize("name", sorted(scenes.MAKERS))
+def test_scenes_start_as_said(name):
+    scene = cg.scenes.make(name)
+    cloth = scene.cloths[0]
+    edges = cg.Surface(cloth.mesh.faces).edges
+    now, rest = (np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) for x in (cloth.mesh.vertices, cloth.rest))
+    assert np.abs(now / rest - 1.0).max() < 2e-3
+    for body in scene.bodies:
+        assert not body.notes, "closed, and faces counter-clockwise from outside"
+        distance = cg.Simulation(scene, "draft").body_mesh.signed_distance(scene.start)
+        assert distance.min() == pytest.approx(scenes.CLEARANCE + (0.1 if name == "bounce" else 0.0), abs=2e-5)
+
+
+@pytest.mark.parametrize("grain", ["0", "45", "90"])
+def test_cantilevers_of_every_grain_are_the_same_strip(grain):
+    cloth = cg.scenes.make("cantilever", rows=8, columns=2, grain=grain).cloths[0]
+    row = 0.2 / 7.5
+    across = 4 * row if grain == "45" else 2 * row  # of half diagonals, of sides
+    assert np.ptp(cloth.mesh.vertices, axis=0) == pytest.approx([across, 0.0, 8 * row])
+    surface = cg.Surface(cloth.mesh.faces)
+    assert surface.edge_face_count.max() == 2 and len(np.unique(surface.components)) == 1
+    areas = face_areas(cloth.rest, cloth.mesh.faces)
+    assert areas.sum() == pytest.approx(np.prod(np.ptp(cloth.mesh.vertices, axis=0)[[0, 2]]))
+    # the sides of the cells lie along weft and warp of the rest shape
+    sides = cloth.rest[cloth.mesh.quads[:, 1]] - cloth.rest[cloth.mesh.quads[:, 0]]
+    assert np.abs(sides).min(axis=1) == pytest.approx(0.0, abs=1e-12)
+    assert (np.count_nonzero(np.abs(sides) > 1e-9, axis=1) == 1).all()
 
 
 def test_shadow_and_nodes():

@@ -199,6 +199,31 @@ def incline(angle: float = 20.0, friction: float = 0.3, plane: str = "body", sli
     return Scene((cloth,), bodies, self_collision=False, duration=1.0, name="incline")
 
 
+def capstan(ratio: float = 2.0, friction: float = 0.3, short: float = 0.3) -> Scene:
+    """A strip lies over half a cylinder, one end hangs `ratio` times as deep as the other. It slides where the ratio is above
+    exp(pi friction), 2.566 at 0.3, but for the weight of what lies on the cylinder. Gravity draws along -z, and the cylinder
+    lies along x."""
+    radius, cell = 0.05, 0.01
+    around = math.pi * (radius + CLEARANCE)
+    rows = round((short * (1.0 + ratio) + around) / cell)
+    mesh, along, across = _strip(rows * cell, 1, rows)
+    turn = np.clip((along - short) / (radius + CLEARANCE), 0.0, math.pi)
+    down = np.maximum(short - along, 0.0) + np.maximum(along - short - around, 0.0)
+    y, z = -(radius + CLEARANCE) * np.cos(turn), (radius + CLEARANCE) * np.sin(turn) - down
+    material = fabric(3e2, 1, 1.5e2, damping=5.0)
+    cloth = _cloth(mesh, (across, y, z), material, np.zeros(0, int))
+    angles = 2.0 * math.pi * np.arange(192) / 192
+    ring = np.stack([0.0 * angles, radius * np.cos(angles), radius * np.sin(angles)], axis=1)
+    ends = [ring + np.array([x, 0.0, 0.0]) for x in (-0.1, 0.1)]
+    here, on = np.arange(192), (np.arange(192) + 1) % 192
+    sides = [np.stack(f, axis=1) for f in ((here, on, 192 + here), (on, 192 + on, 192 + here))]
+    caps = [np.stack(f, axis=1) for f in ((on, here, 0 * here + 384), (192 + here, 192 + on, 0 * here + 385))]
+    points = np.concatenate([*ends, [[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]])
+    body = Body((points, np.concatenate(sides + caps).astype(np.int32)), "cylinder", friction)
+    gravity = (0.0, 0.0, -G)
+    return Scene((cloth,), (body,), gravity=gravity, self_collision=False, duration=1.0, name="capstan")
+
+
 def bounce(height: float = 0.1, rebound: float = 0.7) -> Scene:
     """A sheet falls flat on a level slab that gives back `rebound` of its speed where `Fidelity.body_response` is "velocity":
     it rises to rebound^2 of the height again."""
@@ -237,6 +262,7 @@ MAKERS = {
     "catenary": catenary,
     "cantilever": cantilever,
     "incline": incline,
+    "capstan": capstan,
     "bounce": bounce,
     "drape_test": drape_test,
 }
@@ -270,6 +296,11 @@ PARAMETERS = {
         "friction": ("", 0.0, 2.0, "Coulomb coefficient"),
         "plane": ("", 0, 0, "a slab, or the ground under tilted gravity", ("body", "ground")),
         "slide": ("", 0.0, 1.0, "share of the sliding speed kept a substep, for body_response velocity"),
+    },
+    "capstan": {
+        "ratio": ("", 1.0, 10.0, "of the hanging ends"),
+        "friction": ("", 0.0, 2.0, "Coulomb coefficient"),
+        "short": ("m", 0.02, 1.0, "length of the shorter end"),
     },
     "bounce": {
         "height": ("m", 0.001, 10.0, "of the fall"),

@@ -26,6 +26,8 @@ def cases(quick: bool) -> list[Case]:
             settings = {"family": "incline", "solver": solver, "plane": plane, "rounds": 1 if quick else 4}
             listed.append(Case(f"incline/{plane}/{solver}", settings))
         listed.append(Case(f"creep/{solver}", {"family": "creep", "solver": solver, "slide": 0.98}))
+        if not quick:
+            listed.append(Case(f"capstan/{solver}", {"family": "capstan", "solver": solver, "rounds": 7}))
         for rebound in (0.5,) if quick else (0.0, 0.3, 0.5, 0.7, 0.9):
             listed.append(
                 Case(f"bounce/{rebound}/{solver}", {"family": "bounce", "solver": solver, "rebound": rebound})
@@ -88,6 +90,27 @@ def incline(solver: str, plane: str, rounds: int) -> dict[str, Any]:
             ),
         ]
     }
+
+
+def capstan(solver: str, rounds: int) -> dict[str, Any]:
+    """Ratio of the hanging ends at which a strip over a cylinder begins to slide."""
+    short = 0.3
+    exact = known.capstan_ratio(FRICTION, 0.05 + scenes.CLEARANCE, short)
+
+    def slides(ratio: float) -> bool:
+        scene = scenes.capstan(ratio, FRICTION, short)
+        simulation = simulate(scene, solver, _DT / 4, 0.05, body_faces=0)
+        simulation.step(10)
+        settled = simulation.positions[:2, 2].mean()
+        simulation.step(10)
+        # 0.5 mm in the second half second: the strip has come to its strain by then
+        return float(simulation.positions[:2, 2].mean() - settled) > 5e-4
+
+    low, high = 0.5 * exact, 1.5 * exact
+    for _ in range(rounds):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if slides(middle) else (middle, high)
+    return {"quantities": [measure.quantity("ratio where it slides", 0.5 * (low + high), exact)]}
 
 
 def creep(solver: str, slide: float) -> dict[str, Any]:

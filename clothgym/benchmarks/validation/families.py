@@ -21,6 +21,7 @@ FAMILIES: dict[str, Callable[..., dict[str, Any]]] = {
     "cantilever": bending.cantilever,
     "moment": bending.moment,
     "incline": contact.incline,
+    "capstan": contact.capstan,
     "creep": contact.creep,
     "bounce": contact.bounce,
     "drape": drape.drape,

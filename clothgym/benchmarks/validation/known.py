@@ -7,7 +7,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.integrate import solve_bvp
+from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk, jn_zeros, roots_laguerre
 
@@ -161,3 +161,19 @@ def slide_distance(angle: float, friction: float, time: float, gravity: float) -
 def creep_speed(slide: float, angle: float, dt: float, gravity: float) -> float:
     """[m/s] at which [Vassilev 2001] eq. 12 lets a sheet creep down any slope: v = C (v + g dt sin)."""
     return slide * gravity * math.sin(math.radians(angle)) * dt / (1.0 - slide)
+
+
+def capstan_ratio(friction: float, radius: float, length: float) -> float:
+    """Length of one hanging end over the other's at which a strip begins to slide over half a cylinder.
+
+    dT / dphi = friction (T + w R cos(phi)) - w R sin(phi) from T = w L at phi = -90 degrees; without the weight of what lies
+    on the cylinder exp(pi friction). T must come out as w times the other end's length.
+    """
+    answer = solve_ivp(
+        lambda phi, t: friction * (t + radius * math.cos(phi)) - radius * math.sin(phi),
+        (-0.5 * math.pi, 0.5 * math.pi),
+        [length],
+        rtol=1e-10,
+        atol=1e-14,
+    )
+    return float(answer.y[0, -1] / length)

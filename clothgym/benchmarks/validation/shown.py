@@ -26,6 +26,7 @@ _TITLES = {
     "cantilever": "V7 cantilever under its own weight, against the elastica",
     "buckling": "V8 strip on edge under its own weight",
     "incline": "V9 slope, Coulomb friction",
+    "capstan": "V9 strip over a cylinder, Coulomb friction",
     "creep": "V9 slope, response of [Vassilev 2001] eq. 12",
     "drape": "V10 Cusick drape",
     "flight": "V11 free flight",

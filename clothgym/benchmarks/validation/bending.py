@@ -28,7 +28,7 @@ def cases(quick: bool) -> list[Case]:
     stiff = [name for name in STIFF if name in bendings()] or ["hinge"]
     listed = []
     for membrane in membranes():
-        for number, solver in enumerate(solvers(membrane)):
+        for number, solver in enumerate(solvers(membrane, plain=True)):
             for bending in stiff[:1] if quick and number else stiff:
                 key = f"{bending}/{solver}"
                 shape = {"rows": rows, "columns": 2, "grain": "0"}

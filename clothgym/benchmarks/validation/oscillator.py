@@ -20,16 +20,18 @@ _TARGET = 0.005
 
 def cases(quick: bool) -> list[Case]:
     """Oscillator, pendulum and chain with every solver."""
-    angles = (30, 90) if quick else (10, 30, 60, 90)
+    angles = (90,) if quick else (10, 30, 60, 90)
     modes = (1,) if quick else (1, 2, 3, 4)
     links = 12 if quick else 40
     listed = []
-    for solver in solvers():
+    for solver in solvers(plain=quick):
         listed.append(Case(f"oscillator/{solver}", {"family": "oscillator", "solver": solver}))
         listed += [
             Case(f"pendulum/{angle}/{solver}", {"family": "pendulum", "solver": solver, "angle": angle})
             for angle in angles
         ]
+        if quick and split(solver)[2] != "springs":
+            continue  # both membranes make the same chain
         listed += [
             Case(f"chain/{mode}/{solver}", {"family": "chain", "solver": solver, "mode": mode, "links": links})
             for mode in modes

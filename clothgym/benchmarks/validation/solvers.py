@@ -18,7 +18,7 @@ IMPLICIT = ("implicit_euler", "global")
 VARIANTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "": ((), {}),
     "2": (("implicit_euler",), {"time_order": 2}),
-    "float32": (("xpbd", "symplectic_euler"), {"precision": "float32"}),
+    "float32": (("xpbd",), {"precision": "float32"}),
 }
 """Variants of integrators by the name after the colon: who has them, and what they set."""
 _PLAIN = {"untangling": "none", "contacts_near_hits": "keep"}
@@ -39,14 +39,17 @@ def bendings() -> tuple[str, ...]:
     return tuple(name for name in getattr(fidelities, "BENDINGS", ("flexion",)) if name != "none")
 
 
-def solvers(membrane: str | None = None) -> list[str]:
-    """Names "integrator", "integrator:variant", with "+membrane" for all but springs, of all that Fidelity accepts."""
+def solvers(membrane: str | None = None, plain: bool = False) -> list[str]:
+    """Names "integrator", "integrator:variant", with "+membrane" for all but springs, of all that Fidelity accepts; plain:
+    none that only computes with less precision."""
     found = []
     for kind in membranes() if membrane is None else (membrane,):
         for integrator in INTEGRATORS:
             for variant in VARIANTS:
                 name = integrator + (f":{variant}" if variant else "") + ("" if kind == "springs" else f"+{kind}")
                 if variant and integrator not in VARIANTS[variant][0]:
+                    continue
+                if variant == "float32" and (plain or kind != "springs"):
                     continue
                 try:
                     fidelity(name)

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from clothgym import metrics, scenes
     from clothgym.body import Body
-    from clothgym.detection.intersections import Contour, Intersections, Proximities, intersections, proximities
+    from clothgym.detection.intersections import (
+        Contour,
+        Intersections,
+        Proximities,
+        collisions,
+        intersections,
+        proximities,
+    )
     from clothgym.dressing import Draped, drape
     from clothgym.errors import MissingExtraError, SimulationError
     from clothgym.fidelity import Fidelity
@@ -29,6 +36,7 @@ _HOMES = {
     "Contour": "detection.intersections",
     "Intersections": "detection.intersections",
     "Proximities": "detection.intersections",
+    "collisions": "detection.intersections",
     "intersections": "detection.intersections",
     "proximities": "detection.intersections",
     "Draped": "dressing",
@@ -83,6 +91,7 @@ __all__ = [
     "Surface",
     "UntangleResult",
     "__version__",
+    "collisions",
     "drape",
     "grid",
     "intersections",

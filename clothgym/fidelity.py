@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,10 @@ from clothgym.arrays import check_choice, check_number
 
 INTEGRATORS = ("xpbd", "symplectic_euler")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
-DETECTIONS = ("hierarchy", "brute_force")
+DETECTIONS = ("hierarchy", "brute_force", "mezger")
+INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
+CONES = ("none", "mezger", "exact")
+BUILD_SPACES = ("pose", "pattern")
 BODY_RESPONSES = ("coulomb", "velocity")
 BODY_NORMALS = ("face", "interpolated")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
@@ -22,6 +26,14 @@ _RANGES = {
     "substeps": (0, 100_000, True),
     "sweeps": (1, 10_000, True),
     "stretch_limit": (0.0, 10.0, False),
+    "close_angle": (0.0, math.pi, False),
+    "leaf_angle": (0.0, math.pi, False),
+    "wide_angle": (0.0, math.pi, False),
+    "face_groups": (0, 6, True),
+    "lazy": (0.0, 1.0, False),
+    "coherence": (0.0, 1.0, False),
+    "separation_list": (0, 1000, True),
+    "rebuild_growth": (0.0, 1e6, False),
     "repair_rounds": (0, 1000, True),
     "untangling_passes": (1, 1000, True),
     "h0": (1e-6, 100.0, False),
@@ -35,6 +47,16 @@ _RANGES = {
     "body_faces": (0, 16, True),
 }
 
+_WORKS_WITH = {
+    **dict.fromkeys(("inflation", "cones", "face_groups", "lazy"), ("detection", ("mezger",))),
+    **dict.fromkeys(("coherence", "separation_list", "build_space"), ("detection", ("mezger",))),
+    "rebuild_growth": ("detection", ("hierarchy", "mezger")),
+    "close_angle": ("cones", ("mezger",)),
+    "leaf_angle": ("cones", ("mezger",)),
+    "wide_angle": ("inflation", ("oriented", "conservative")),
+}
+"""Fields that would do nothing but with these values of another."""
+
 
 @dataclass(frozen=True)
 class Fidelity:
@@ -46,10 +68,36 @@ class Fidelity:
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
         stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
-        detection: "hierarchy" (k-DOP tree) or "brute_force".
+        detection: "hierarchy" (k-DOP tree of clusters, the fastest), "brute_force" (every pair), or "mezger": the tree of
+            [Mezger 2003] with one face a leaf and the techniques below. What they are, see `docs/papers.md`; what they cost and
+            miss, `clothgym bench mezger`; what they do, `metrics()["work"]`.
         k: half-spaces a box of the hierarchy: 6, 8, 14, 18, 26.
         arity: children a node: 2, 4, 8.
+        flat_check: with the hierarchy, sheets that are height fields over a plane, and far from each other, are recognised
+            without a search for pairs.
+        inflation: boxes of "mezger" hold the way of a step "swept" around both its ends, or "conservative": eq. 1 with the
+            half-angle of the velocity cone; both miss nothing. "oriented": eq. 1 as printed, which misses what leaves the axis
+            of its cone; "unoriented": places without ways, the least box tests, misses what is fast.
+        cones: self-collision of regions is left out by "none", by "mezger"'s curvature criterion, which misses regions whose
+            outlines fold over themselves and sharp bends, or "exact", with the outline, which misses nothing.
+        close_angle: apex angle [rad] from which "mezger" cones look for self-collision; smaller misses less, tests more.
+        leaf_angle: with "mezger" cones, least angle [rad] of two faces in the same or adjacent groups; two with a common vertex
+            are left out too. 0 = all are tested; larger is faster and misses more.
+        wide_angle: half-angle [rad] from which a velocity cone has no direction, for "oriented" and "conservative".
+        face_groups: level of the tree whose nodes are the face groups: 0 = one group, each level has `arity` times as many.
+            "mezger" cones prune only what lies in groups that all touch; lazy update and coherence go group by group.
+        lazy: b [m]: boxes are b wider, and those of a group are refitted when a vertex is more than b from where they saw
+            it: proximities of eps + 2 b are looked for, so that those of eps are found. 0 = always. Misses nothing.
+        coherence: relative way [m] of two groups within which their last pairs are used again, with the barycentrics of
+            their closest points; boxes are half of it wider. 0 = never. Misses nothing.
+        separation_list: searches that resume where the last descent stopped, before one begins at the root again; 0 = all
+            begin there. Misses nothing.
+        build_space: "mezger" splits faces by where they are at the start ("pose") or in the "pattern": the rest shape.
+        rebuild_growth: a tree is made anew when the surface of its boxes has grown by this factor (a flat sheet's more than
+            doubles when it crumples); 0 = never. Costs sorted pairs with "hierarchy", may save box tests. Misses nothing.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
+        continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
+            other as `tunnel_events`; nothing else changes. Costs about a tenth of a step with contact.
         untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
         untangling_passes: corrections a step.
         h0: largest correction of a pass, in mean edge lengths [Volino 2006, eq. 5].
@@ -78,7 +126,20 @@ class Fidelity:
     detection: str = "hierarchy"
     k: int = 18
     arity: int = 4
+    flat_check: bool = True
+    inflation: str = "swept"
+    cones: str = "exact"
+    close_angle: float = 0.5 * math.pi
+    leaf_angle: float = 0.0
+    wide_angle: float = math.pi / 3.0
+    face_groups: int = 2
+    lazy: float = 0.0
+    coherence: float = 0.0
+    separation_list: int = 0
+    build_space: str = "pose"
+    rebuild_growth: float = 0.0
     repair_rounds: int = 8
+    continuous: bool = False
     untangling: str = "hybrid"
     untangling_passes: int = 3
     h0: float = 1.0
@@ -98,6 +159,9 @@ class Fidelity:
         check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
+        check_choice(self.inflation, "fidelity.inflation", INFLATIONS)
+        check_choice(self.cones, "fidelity.cones", CONES)
+        check_choice(self.build_space, "fidelity.build_space", BUILD_SPACES)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
         check_choice(self.body_normals, "fidelity.body_normals", BODY_NORMALS)
         check_choice(self.body_response, "fidelity.body_response", BODY_RESPONSES)
@@ -110,6 +174,9 @@ class Fidelity:
                     f"fidelity.{field} = {getattr(self, field)!r}: expected one of {', '.join(map(str, choices))}"
                 )
             object.__setattr__(self, field, int(getattr(self, field)))
+        for field in ("flat_check", "continuous"):
+            if not isinstance(getattr(self, field), bool):
+                raise ValueError(f"fidelity.{field} = {getattr(self, field)!r}: expected True or False")
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {self.untangling!r}: expected the name of a strategy")
         if self.velocity_modification != "none" and self.integrator != "symplectic_euler":
@@ -117,6 +184,11 @@ class Fidelity:
                 f"fidelity.velocity_modification = {self.velocity_modification!r}: works with integrator "
                 "'symplectic_euler' only; XPBD limits strain by its constraints"
             )
+        for field, (other, values) in _WORKS_WITH.items():
+            if getattr(self, field) != getattr(Fidelity, field) and getattr(self, other) not in values:
+                raise ValueError(
+                    f"fidelity.{field} = {getattr(self, field)!r}: works with {other} {' or '.join(map(repr, values))} only"
+                )
 
     @staticmethod
     def preset(name: str) -> Fidelity:
@@ -147,7 +219,7 @@ class Fidelity:
 PRESETS: dict[str, Fidelity] = {
     "draft": Fidelity(substeps=4, sweeps=4, body_faces=1),
     "balanced": Fidelity(),
-    "accurate": Fidelity(substeps=16, sweeps=8, body_faces=4, map_size=720),
+    "accurate": Fidelity(substeps=16, sweeps=8, body_faces=4, map_size=720, continuous=True),
 }
 
 

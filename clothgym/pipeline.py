@@ -19,8 +19,9 @@ from clothgym.stages.integrate import Integrate, IntegrateOnBody, Step
 class Pipeline:
     """Stages in order. `profile` maps stage name to (calls, seconds)."""
 
-    def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float) -> None:
+    def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float, detector: Any = None) -> None:
         self.stages = stages
+        self.detector = detector
         self.substeps, self.dt = substeps, dt
         self.profile: dict[str, list[float]] = {}
         for stage in stages:
@@ -35,9 +36,14 @@ class Pipeline:
             started = time.perf_counter()
             stage.run(frame)
             frame.clock(stage.name, started)
-            if "positions" in stage.writes and (diverged := frame.diverged()):
+            if "positions" in stage.writes and not getattr(stage, "idle", False) and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
+
+    def forget(self) -> None:
+        """Drops what the detection keeps from step to step; results do not depend on it, work counters do."""
+        if hasattr(self.detector, "forget"):
+            self.detector.forget()
 
     def describe(self) -> str:
         """One line per stage: name, what it reads and writes."""
@@ -72,13 +78,12 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         return Pipeline(tuple(stages), step.substeps, step.dt)
     from clothgym.response.contact import Candidates
     from clothgym.stages.contact import ContactSubsteps, ContactSubstepsOnBody
-    from clothgym.stages.pairs import FacePairs, PrimitivePairs
+    from clothgym.stages.pairs import FacePairs, PrimitivePairs, Rebuild
 
-    if fidelity.detection == "hierarchy":
-        from clothgym.detection.hierarchy import Hierarchy as Tree
-    else:
-        from clothgym.detection.brute_force import BruteForce as Tree  # type: ignore[assignment]
-    candidates = Candidates(model, Tree(model.surface, scene.start, fidelity.k, fidelity.arity))
+    tree = _detector(model, fidelity)
+    candidates = Candidates(model, tree, fidelity.flat_check and fidelity.detection == "hierarchy")
+    if fidelity.rebuild_growth > 0.0:
+        stages.append(Rebuild(candidates, fidelity.rebuild_growth))
     apart = np.zeros(model.vertex_count, np.bool_)
     pairs = FacePairs(candidates, scene.step, step.substeps, np.asarray(scene.gravity, float))
     stages.append(pairs)
@@ -91,4 +96,27 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         stages.append(ContactSubstepsOnBody(step, body, candidates, model, fidelity, apart, windy))
     else:
         stages.append(ContactSubsteps(step, candidates, model, fidelity, apart, windy))
-    return Pipeline(tuple(stages), step.substeps, step.dt)
+    return Pipeline(tuple(stages), step.substeps, step.dt, tree)
+
+
+def _detector(model: ClothModel, fidelity: Fidelity) -> Any:
+    """What finds the pairs that may touch."""
+    surface, start = model.surface, model.scene.start
+    if fidelity.detection == "brute_force":
+        from clothgym.detection.brute_force import BruteForce
+
+        return BruteForce(surface, start)
+    if fidelity.detection == "mezger":
+        from clothgym.detection.mezger import MezgerHierarchy, pattern_corners
+
+        places = None
+        if fidelity.build_space == "pattern":
+            places = pattern_corners(surface, [(cloth.mesh.faces, cloth.rest) for cloth in model.scene.cloths])
+        return MezgerHierarchy(surface, start, fidelity, places)
+    if fidelity.rebuild_growth > 0.0:
+        from clothgym.detection.rebuilt import RebuiltHierarchy
+
+        return RebuiltHierarchy(surface, start, fidelity.k, fidelity.arity, fidelity.rebuild_growth)
+    from clothgym.detection.hierarchy import Hierarchy
+
+    return Hierarchy(surface, start, fidelity.k, fidelity.arity)

@@ -59,6 +59,7 @@ class Simulation:
         self._grip_forces: FloatArray = np.zeros((grips, 3))
         self._body_forces: FloatArray = np.zeros((self.model.vertex_count if self.scene.bodies else 0, 3))
         self._intersections: Any = None
+        self.pipeline.forget()
         for entry in self.pipeline.profile.values():
             entry[:] = [0, 0.0]
 
@@ -93,6 +94,7 @@ class Simulation:
             "fidelity": self.fidelity,
             "state": self._state.copy(),
             "forces": self.measured_forces(),
+            "clamped": self._frame.clamped,
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
         }
@@ -102,6 +104,7 @@ class Simulation:
         self._restore(values["state"])
         self.set_measured_forces(values["forces"])
         self._frame.untangling_passes = values["untangling_passes"]
+        self._frame.clamped = values["clamped"]
         self._frame.work = values["work"]
 
     # --- what can be read -------------------------------------------------------------------------------------------
@@ -195,7 +198,9 @@ class Simulation:
 
         contour_length [m], contour_count, hits, max_strain (largest edge length / rest length - 1), penetration_depth [m]
         (of vertices and midpoints of faces below the true surface of the bodies), kinetic_energy and potential_energy
-        [J], max_speed [m/s], time [s], untangling_passes (since reset), work (counters since reset).
+        [J], max_speed [m/s], time [s], clamped (vertices that layers or body parts pressed from opposite sides, harder than
+        they could give way, in the last step), tunnel_events (pairs that passed each other since reset, as far as
+        `Fidelity.continuous` looks for them), untangling_passes (since reset), work (counters since reset).
         """
         x, v = self._state.positions, self._state.velocities
         hits = self.last_intersections
@@ -209,6 +214,8 @@ class Simulation:
             "kinetic_energy": metrics.kinetic_energy(self.model, v),
             "potential_energy": metrics.potential_energy(self.model, x),
             "max_speed": float(np.sqrt((v * v).sum(axis=1).max())),
+            "clamped": self._frame.clamped,
+            "tunnel_events": self._frame.work.get("tunnel_events", 0),
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
         }
@@ -255,6 +262,7 @@ class Simulation:
     def _restore(self, snapshot: ClothState) -> None:
         self._state = snapshot.copy()
         self._frame.state = self._state
+        self.pipeline.forget()
         self._intersections = None
 
     def state_hash(self) -> str:

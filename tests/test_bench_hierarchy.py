@@ -19,6 +19,9 @@ SMALL = {"part": "scaling", "triangles": 200, "seed": 1, "repeats": 1}
 def test_cases_are_every_size_in_both_states(quick: bool) -> None:
     listed = hierarchy.cases(quick)
     assert len({case.key for case in listed}) == len(listed)
+    flat = [case.parameters["cells"] for case in listed if case.parameters["part"] == "flat"]
+    assert flat == ([16, 32, 64] if quick else [16, 32, 64, 128])
+    listed = [case for case in listed if case.parameters["part"] == "scaling"]
     sizes = {case.parameters["triangles"] for case in listed}
     assert max(sizes) == (20_000 if quick else 320_000)
     assert {800, 5_000, 20_000} <= sizes
@@ -133,3 +136,13 @@ def test_rows_and_tables_of_a_whole_run(tmp_path: Any, monkeypatch: pytest.Monke
     assert [row[0] for row in growth.rows] == ["clear", "tangled"]
     again = frame.run_benchmark(benchmark, tmp_path, quick=True, resume=True)
     assert [row["finished"] for row in again.rows] == [row["finished"] for row in outcome.rows]
+
+
+def test_a_flat_sheet_is_decided_and_runs_as_with_a_search() -> None:
+    parameters = {"part": "flat", "cells": 6, "steps": 3, "searched": 2, "repeats": 2}
+    result = hierarchy.run(parameters)
+    assert (result["triangles"], result["decided"], result["equal"]) == (72, 3, True)
+    assert result["share"] < 1.0 and min(result["ms"].values()) > 0.0
+    (table,) = hierarchy.tables([{"parameters": parameters, "result": result}])
+    assert table.rows[0][:3] == (6, 72, "3 of 3")
+    assert table.rows[0][5] == result["share"]

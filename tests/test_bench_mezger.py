@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from clothgym.benchmarks import mezger
+from clothgym.benchmarks import mezger, mezger_simulation, mezger_tables
 from clothgym.benchmarks.report import json_ready
 
 
@@ -28,7 +28,7 @@ def test_cases_name_what_can_be_run(quick):
     assert {case.parameters["what"] for case in listed} == set(mezger._KINDS)
     table1 = next(case.parameters for case in listed if case.parameters["what"] == "table1")
     assert table1["steps"] == (60 if quick else 600), "the paper's walk has 600 steps"
-    assert set(mezger.PAPER) < set(mezger.TABLE_1)
+    assert set(mezger_tables.PAPER) < set(mezger.TABLE_1)
     assert mezger.TABLE_1["unoriented, 2 cm"][0] == 0.02
 
 
@@ -76,3 +76,23 @@ def test_crumpled_sheets_pass_through_themselves():
     vertices, faces, flat = mezger.crumpled(16, 0)
     assert cg.intersections(vertices, faces).hit_count > 20
     assert vertices.shape == flat.shape
+
+
+def test_techniques_in_the_simulation(monkeypatch):
+    import clothgym as cg
+
+    make = cg.scenes.make
+    monkeypatch.setattr(cg.scenes, "make", lambda name: make(name, vertices=7))
+    result = mezger.run({"what": "simulation", "scene": "layers", "steps": 4, "every": 2})
+    rows = result["rows"]
+    assert set(rows) == set(mezger_simulation.TECHNIQUES)
+    for name, row in rows.items():
+        if row["complete"]:
+            assert row["missed"] == row["missed_hits"] == 0, name
+            assert row["same_bits"] or name == "clusters of 16"
+        assert row["near"] > 100 and row["hits"] > 10 and 0.0 < row["detection"] < row["step"]
+    assert rows["unoriented"]["missed"] > 0
+    assert rows["plain"]["box_tests"] > rows["cones exact"]["box_tests"] > 0
+    (table,) = mezger.tables([{"parameters": {"what": "simulation", "scene": "layers"}, "result": result}])
+    assert len(table.rows) == len(rows) and len(table.rows[0]) == len(table.columns)
+    json.dumps(json_ready(result))

@@ -18,7 +18,7 @@ from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
 from clothgym.response.contact import Candidates, ContactBuffers
 
-CONTACT_ONLY = cg.Fidelity(untangling="none", substeps=4)
+CONTACT_ONLY = cg.Fidelity(untangling="none", substeps=4, flat_check=False)
 
 
 def no_grips() -> Grips:

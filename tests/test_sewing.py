@@ -61,7 +61,7 @@ def test_nothing_crosses(sewn):
     surface = Surface(sewn.garment.faces, len(sewn.x))
     tree = Hierarchy(surface, sewn.x)
     tree.refit(sewn.x, sewn.x, 0.0)
-    assert Intersections(sewn.x, surface, tree.self_pairs()).hit_count == 0
+    assert Intersections(sewn.x, surface, tree.edges_against_faces()).hit_count == 0
 
 
 def test_it_is_not_twisted(sewn):

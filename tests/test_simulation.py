@@ -516,6 +516,10 @@ def outcome(make, fidelity, speed: float = 0.0):
     return sim.pipeline.describe(), sim.state_hash(), getattr(tree, "box_tests", None), sim.metrics()["work"]
 
 
+def lone_sheet():
+    return dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=4), self_collision=True)
+
+
 def on_ball():
     """A sheet that lies on a ball finer than its own cells."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
@@ -523,9 +527,20 @@ def on_ball():
     return cg.Scene([cg.Cloth(mesh)], bodies=[cg.Body(ball, slide=0.5)], step=0.01, self_collision=False)
 
 
+def bent() -> cg.Scene:
+    """A strip that lies bent: where it is and its pattern differ."""
+    flat = cg.grid(0.6, 0.2, 12, 4)
+    x, _, z = flat.vertices.T
+    start = np.stack([0.15 * np.sin(x / 0.15), 0.3 - 0.15 * np.cos(x / 0.15), z], axis=1)
+    return cg.Scene([cg.Cloth(cg.Mesh(start, flat.faces, flat.quads), SOFT, rest=flat.vertices)], step=0.01)
+
+
 EULER = cg.Fidelity(integrator="symplectic_euler", substeps=0)
+SEARCH = dataclasses.replace(CONTACT, flat_check=False)
 GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
+MEZGER = dataclasses.replace(CONTACT, detection="mezger")
+CURVATURE = dataclasses.replace(MEZGER, cones="mezger")
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
@@ -533,9 +548,22 @@ KNOBS = {
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),
-    "k": (pile, CONTACT, 26, 0, "boxes"),
-    "arity": (pile, CONTACT, 2, 0, "boxes"),
+    "k": (pile, SEARCH, 26, 0, "boxes"),
+    "arity": (pile, SEARCH, 2, 0, "boxes"),
+    "flat_check": (lone_sheet, CONTACT, False, 0, "work"),
+    "inflation": (pile, MEZGER, "unoriented", 1, "work"),
+    "cones": (pile, MEZGER, "none", 0, "work"),
+    "close_angle": (pile, CURVATURE, 0.01, 0, "work"),
+    "leaf_angle": (pile, CURVATURE, 0.5, 0, "work"),
+    "wide_angle": (pile, dataclasses.replace(MEZGER, inflation="conservative"), 0.0, 1, "boxes"),
+    "face_groups": (pile, CURVATURE, 4, 0, "work"),
+    "lazy": (pile, MEZGER, 1e-4, 0, "work"),
+    "coherence": (pile, MEZGER, 1e-3, 0, "work"),
+    "separation_list": (pile, MEZGER, 4, 0, "boxes"),
+    "build_space": (bent, MEZGER, "pattern", 0, "boxes"),
+    "rebuild_growth": (pile, SEARCH, 1.01, 2, "work"),
     "repair_rounds": (pile, CONTACT, 0, 20, "state"),
+    "continuous": (tangle, dataclasses.replace(GLOBAL, untangling="none", rings=4), True, 1, "work"),
     "untangling": (tangle, GLOBAL, "local", 0, "state"),
     "untangling_passes": (tangle, GLOBAL, 3, 0, "state"),
     "h0": (tangle, GLOBAL, 0.3, 0, "state"),

@@ -10,8 +10,9 @@ import numpy as np
 
 import clothgym as cg
 from clothgym.arrays import FloatArray, IntArray
-from clothgym.benchmarks.frame import Benchmark, Case, Row
-from clothgym.benchmarks.report import Table
+from clothgym.benchmarks.frame import Benchmark, Case
+from clothgym.benchmarks.mezger_simulation import TECHNIQUES, simulated
+from clothgym.benchmarks.mezger_tables import TESTS, tables
 from clothgym.detection.dop_scene import DopScene, Near
 from clothgym.scenes import mezger as scenes
 
@@ -30,13 +31,6 @@ TABLE_1: dict[str, tuple[float, dict[str, Any]]] = {
     "conservative": (EPS, {**_ACCELERATED, "inflation": "conservative"}),
     "swept": (EPS, {**_ACCELERATED, "inflation": "swept"}),
 }
-PAPER = {
-    "accelerated": (56.0, 31.0, 88.0),
-    "unoriented, 2 cm": (37.0, 136.0, 173.0),
-    "AABB": (43.0, 50.0, 93.0),
-    "binary": (64.0, 35.0, 99.0),
-}
-"""Seconds of hierarchy update, collision test and both, for 600 steps."""
 
 HEURISTICS: dict[str, dict[str, Any]] = {
     "plain": {"cones": "none"},
@@ -52,7 +46,6 @@ HEURISTICS: dict[str, dict[str, Any]] = {
     "vertices alone": {"cones": "none", "vertex_only": True},
     "10 virtual particles": {"cones": "none", "virtual_particles": 10},
 }
-_TESTS = ("refits", "box_tests", "leaf_pairs", "cone_pruned", "primitive_tests")
 _NOTES = (
     "Mezger, Kimmerle and Etzmuss 2003, Table 1: trousers of 833 vertices and 1,626 triangles on an avatar of 28,784 "
     "polygons, 600 steps of 0.01 s; hardware, eps_close of the accelerated run, cone thresholds and groups are open. Here: "
@@ -78,6 +71,8 @@ def cases(quick: bool) -> list[Case]:
     listed.append(Case("vertices/table_cloth", {"what": "vertices", "scene": "table_cloth", "steps": fall}))
     listed.append(Case("curvature", {"what": "curvature", "seeds": 2 if quick else 6}))
     listed += [Case(f"shares/{name}", {"what": "shares", "scene": name, "steps": fall}) for name in names]
+    for name, count in (("drop", 40),) if quick else (("drop", 120), ("squares", 30), ("layers", 30), ("tape", 100)):
+        listed.append(Case(f"simulation/{name}", {"what": "simulation", "scene": name, "steps": count, "every": 10}))
     return listed
 
 
@@ -93,6 +88,8 @@ def prepare() -> None:
             scene.update(number, flat.vertices, flat.vertices, 0.01)
             scene.misses(scene.collide(EPS), EPS)
     cg.Simulation(cg.scenes.make("tape"), "draft").step()
+    for settings in TECHNIQUES.values():
+        cg.Simulation(cg.scenes.make("squares", count=2), cg.Fidelity(**settings)).step()
     _ = next(scenes.walk(1))
 
 
@@ -137,7 +134,7 @@ class _Runner:
             self.missed += len(true - self.answer[key].keys())
 
     def result(self) -> dict[str, Any]:
-        counted = {key: self.scene.counters[key] / self.steps for key in _TESTS}
+        counted = {key: self.scene.counters[key] / self.steps for key in TESTS}
         own, total = sum(self.own), sum(self.hierarchy) + sum(self.collision)
         return {
             "hierarchy": statistics.median(self.hierarchy),
@@ -330,105 +327,8 @@ _KINDS: dict[str, Callable[..., dict[str, Any]]] = {
     "vertices": _vertices,
     "curvature": _curvature,
     "shares": _shares,
+    "simulation": simulated,
 }
-
-
-# Tables
-
-
-def tables(rows: list[Row]) -> list[Table]:
-    """One table a kind of case."""
-    found: list[Table] = []
-    for row in rows:
-        kind, result = row["parameters"]["what"], row["result"]
-        if kind == "table1":
-            found += [_paper_table(result), _walk_table(result)]
-        elif kind == "k_arity":
-            found.append(_measured_table("k x arity on the walk", result, "18 x 4"))
-        elif kind == "heuristics":
-            found.append(_measured_table(f"Heuristics on {row['parameters']['scene']}", result, "plain"))
-        elif kind == "vertices":
-            found.append(_seen_table(row))
-        elif kind == "curvature":
-            found.append(_curvature_table(result))
-    shares = [row for row in rows if row["parameters"]["what"] == "shares"]
-    return [*found, _share_table(shares)] if shares else found
-
-
-def _paper_table(result: dict[str, Any]) -> Table:
-    base, own = result["rows"]["accelerated"], PAPER["accelerated"]
-    cells = []
-    for name, row in result["rows"].items():
-        printed = PAPER.get(name)
-        for n, key in enumerate(("hierarchy", "collision", "total")):
-            cells.append((name, key, 1e3 * row[key], row[key] / base[key], printed[n] / own[n] if printed else None))
-    columns = ("configuration", "part", "median a step [ms]", "ratio", "paper's ratio")
-    return Table(
-        f"Table 1: the walk, {result['steps']} steps", columns, cells, "Ratios to the accelerated configuration."
-    )
-
-
-def _walk_table(result: dict[str, Any]) -> Table:
-    cells = [
-        (name, *(row[key] for key in _TESTS), row["self_share"], row["missed"], row["occurring"])
-        for name, row in result["rows"].items()
-    ]
-    columns = ("configuration", *(f"{key} a step" for key in _TESTS), "share of self-collision", "missed", "of")
-    return Table(
-        "The walk: counts and misses", columns, cells, "Misses in every tenth step. Self: 'a fractional amount'."
-    )
-
-
-def _measured_table(title: str, result: dict[str, Any], base: str) -> Table:
-    unit = result["rows"][base]["total"]
-    cells = [
-        (
-            name, 1e3 * row["hierarchy"], 1e3 * row["collision"], row["total"] / unit, *(row[key] for key in _TESTS),
-            row["missed"], row["occurring"],
-        )
-        for name, row in result["rows"].items()
-    ]  # fmt: skip
-    columns = ("configuration", "hierarchy [ms]", "collision [ms]", f"total / {base}", *_TESTS, "missed", "of")
-    return Table(title, columns, cells, "Medians a step, counts a step; misses within the step, in some of the steps.")
-
-
-def _seen_table(row: Row) -> Table:
-    cells = [
-        (name, r["seen"], r["of"], r["seen"] / r["of"] if r["of"] else None, r["primitive_tests"], 1e3 * r["collision"])
-        for name, r in row["result"]["rows"].items()
-    ]
-    columns = ("test", "face pairs seen", "of", "share", "distances a step", "collision [ms]")
-    note = (
-        "Pairs of faces within 4 mm; the paper: tests of particles alone penetrate at the rim, virtual ones cost more."
-    )
-    return Table(f"Vertices and virtual particles on {row['parameters']['scene']}", columns, cells, note)
-
-
-def _curvature_table(result: dict[str, Any]) -> Table:
-    cells = [
-        (name, r["hits"], r["missed_hits"], r["near"], r["missed_near"], r["box_tests"])
-        for name, r in result["rows"].items()
-    ]
-    columns = (
-        "criterion, closeAngle, groups, tree over",
-        "face pairs that intersect",
-        "missed",
-        "near",
-        "missed",
-        "box tests",
-    )
-    note = (
-        "Crumpled sheets of 1,152 triangles. Near pairs of neighbours on sharp bends are not candidates for the paper."
-    )
-    return Table("False negatives of the curvature criterion", columns, cells, note)
-
-
-def _share_table(rows: list[Row]) -> Table:
-    cells = [(row["parameters"]["scene"], row["result"]["detection"], 88.0 / 147.0) for row in rows]
-    note = (
-        "The paper's walk: detection 88, response 24, solver 35 s. Here with this library's own pipeline, preset draft."
-    )
-    return Table("Share of detection in a step", ("scene", "share", "paper, walk"), cells, note)
 
 
 benchmark = Benchmark(

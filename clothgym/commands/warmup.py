@@ -77,7 +77,7 @@ def _geometry() -> None:
     surface = cg.Surface(faces)
     tree = Hierarchy(surface, vertices)
     tree.refit(vertices, vertices, 0.0)
-    Intersections(vertices, surface, tree.self_pairs())
+    Intersections(vertices, surface, tree.edges_against_faces())
     for strategy in ("local", "global", "hybrid"):
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
 
@@ -119,14 +119,21 @@ def _contact() -> None:
     import clothgym as cg
 
     scene = cg.scenes.make("squares", count=2)
-    for fidelity in ("draft", dataclasses.replace(cg.Fidelity.preset("draft"), detection="brute_force")):
-        _steps(scene, fidelity)
+    draft = cg.Fidelity.preset("draft")
+    mezger = {"detection": "mezger", "lazy": 1e-4, "rebuild_growth": 1e-3}
+    for settings in (
+        {}, {"rebuild_growth": 1e-3}, {"detection": "brute_force"}, mezger, {**mezger, "coherence": 1e-3},
+    ):  # fmt: skip
+        _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()
     crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
     for near_hits in ("keep", "off_any", "off_both"):
         _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     _steps(crossing, euler, 1)
+    sheet = dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=6), self_collision=True)
+    for flat in ("draft", euler):
+        _steps(sheet, flat, 1)
 
 
 def _wind_and_grips() -> None:

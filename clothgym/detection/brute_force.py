@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
-from clothgym.kernels import kdop, proximity
+from clothgym.kernels import dop_pairs, kdop, proximity
 from clothgym.mesh import Surface
 
 _LARGEST = 10_000
 
 
 class BruteForce:
-    """Same face as `Hierarchy`, without a tree: every pair of faces, and every pair of primitives whose boxes overlap."""
+    """Same face as `Hierarchy`, without a tree: every pair of primitives whose 26-DOPs overlap, sorted by ids."""
 
     def __init__(self, surface: Surface, vertices: FloatArray, k: int = 0, arity: int = 0) -> None:
         self.surface = surface
@@ -22,7 +22,8 @@ class BruteForce:
             raise ValueError(
                 f"fidelity.detection = 'brute_force': {count} faces make too many pairs; at most {_LARGEST}"
             )
-        self._ways = np.zeros((len(vertices), 6))
+        self._ways = np.zeros((len(vertices), 26))
+        self._lengths = np.sqrt((kdop.AXES[26] ** 2).sum(axis=1))
         self.vertex_face: IntArray = np.empty((64, 2), np.int32)
         self.edge_edge: IntArray = np.empty((64, 2), np.int32)
         self.edge_face: IntArray = np.empty((64, 2), np.int32)
@@ -32,7 +33,7 @@ class BruteForce:
     def refit(self, start: FloatArray, end: FloatArray, radius: float | FloatArray) -> None:
         """Boxes around the vertices on their way from start to end (V, 3), widened by radius [m], one for all or (V,)."""
         pads = np.atleast_1d(np.asarray(radius, np.float64))
-        kdop.vertex_intervals(start, end, kdop.AXES[6], np.ones(3), pads, self._ways)
+        kdop.vertex_intervals(start, end, kdop.AXES[26], self._lengths, pads, self._ways)
 
     def search(self, near: bool, hits: bool) -> None:
         """As `Hierarchy.search`."""
@@ -50,14 +51,11 @@ class BruteForce:
                 setattr(self, name, np.empty((int(1.3 * found) + 64, 2), np.int32))
             if name == "vertex_face":
                 self.vertex_face[:found, 0] = owned[self.vertex_face[:found, 0], 0]
-            self.counts[("vertex_face", "edge_edge", "edge_face").index(name)] = found
+            kind = ("vertex_face", "edge_edge", "edge_face").index(name)
+            pairs = getattr(self, name)
+            self.counts[kind] = dop_pairs.keep_overlapping(kind, s.faces, s.edges, self._ways, pairs, found)
 
     def edges_against_faces(self) -> IntArray:
         """As `Hierarchy.edges_against_faces`."""
         self.search(near=False, hits=True)
         return self.edge_face[: self.counts[2]]
-
-    def self_pairs(self) -> IntArray:
-        """(F (F - 1) / 2, 2) all face pairs."""
-        first, second = np.triu_indices(len(self.surface.faces), 1)
-        return np.stack([first, second], axis=1).astype(np.int32)

@@ -49,17 +49,20 @@ class Hierarchy:
         self._ways = np.empty((len(vertices), 2 * len(self._axes)), np.float32)
         self._stack = np.empty((arity * len(self.clusters.levels), 2), np.int64)
         self._leaves = np.empty(len(self.clusters.edge_start), np.int64)
-        self._pairs: IntArray = np.empty((64, 2), np.int32)
         self.vertex_face: IntArray = np.empty((4 * count + 64, 2), np.int32)
         self.edge_edge: IntArray = np.empty((12 * count + 64, 2), np.int32)
         self.edge_face: IntArray = np.empty((64, 2), np.int32)
         self.counts: NDArray[np.int64] = np.zeros(4, np.int64)
         self.box_tests = 0
+        self._reach = -1.0
 
     def refit(self, start: FloatArray, end: FloatArray, radius: float | FloatArray) -> None:
         """Boxes around all primitives on their way from start to end (V, 3), widened by radius [m], one for all or (V,)."""
         pads = radius if isinstance(radius, np.ndarray) else np.array([radius], np.float64)
-        kdop.refit_clusters(start, end, pads, self._axes, self._axis_lengths, self.clusters, self._ways)
+        still = start is end and len(pads) == 1
+        self._reach = kdop.refit_clusters(
+            start, end, pads, still, self._axes, self._axis_lengths, self.clusters, self._ways
+        )
 
     def search(self, near: bool, hits: bool) -> None:
         """Fills vertex_face and edge_edge (near), edge_face (hits) with the pairs whose boxes overlap.
@@ -68,7 +71,7 @@ class Hierarchy:
         """
         while True:
             clusters.primitive_pairs(
-                self.clusters, near, hits, self.counts, self._stack, self._leaves,
+                self.clusters, near, hits, self._reach, self.counts, self._stack, self._leaves,
                 self.vertex_face, self.edge_edge, self.edge_face,
             )  # fmt: skip
             small = [n for n, name in enumerate(_KINDS) if self.counts[n] > len(getattr(self, name))]
@@ -82,15 +85,6 @@ class Hierarchy:
         """(C, 2) edges and faces that may intersect: a search for nothing else; valid until the next one."""
         self.search(near=False, hits=True)
         return self.edge_face[: self.counts[2]]
-
-    def self_pairs(self) -> IntArray:
-        """(C, 2) candidate face pairs a < b whose boxes overlap; valid until the next call."""
-        while True:
-            found, tests = clusters.face_pairs(self.clusters, self._stack, self._leaves, self._pairs)
-            if found <= len(self._pairs):
-                self.box_tests += tests
-                return self._pairs[:found]
-            self._pairs = np.empty((int(1.3 * found) + 64, 2), np.int32)
 
 
 def _clusters(surface: Surface, order: NDArray[np.int64], rows: int, arity: int) -> clusters.Clusters:
@@ -122,7 +116,8 @@ def _clusters(surface: Surface, order: NDArray[np.int64], rows: int, arity: int)
     at, lane = np.divmod(vertex_place, clusters.LANES)
     ids[at + edge_start[-1], :, lane] = owned[points, None]
     starts = (edge_start.astype(np.int32), vertex_start.astype(np.int32), np.array(levels, np.int32))
-    return clusters.Clusters(boxes, ids, *starts, arity)
+    shapes = np.zeros((int(vertex_start[-1]), 6, clusters.LANES), np.float32)
+    return clusters.Clusters(boxes, shapes, ids, *starts, arity)
 
 
 def _order(surface: Surface, vertices: FloatArray, axes: FloatArray, by_component: bool) -> NDArray[np.int64]:

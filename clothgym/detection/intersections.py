@@ -13,7 +13,7 @@ from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.kernels import contour as contour_kernels
 from clothgym.kernels import proximity
-from clothgym.mesh import Surface, SurfaceArrays, as_surface
+from clothgym.mesh import Surface, as_surface
 
 _K, _ARITY = 6, 16
 """Of a surface's own tree: measured the fastest for single queries."""
@@ -21,11 +21,14 @@ _K, _ARITY = 6, 16
 _WORN = 1.5
 """A surface's own tree is made anew when it takes this many times the tests that it took when new, pair for pair."""
 
+_PLACED = {"parameters", "weights", "points"}
+"""Attributes of `Intersections` that are made together at first use."""
+
 _JOINED = {
     *("first_hit", "second_hit", "_pair_faces", "hits_per_pair", "loop_vertex", "segments", "segment_lengths"),
     *("contour", "contour_count", "contour_consistent", "hit_contour", "hit_side"),
 }
-"""Attributes of `Intersections` that are made together at first use."""
+"""The same, from the places."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ class Intersections:
     Args:
         vertices: (V, 3) [m], not copied.
         surface: topology.
-        pairs: (C, 2) pairs of faces that may intersect, or instead
-        edge_face: (C, 2) pairs of an edge and a face without a common vertex that may (`Hierarchy.search`); reordered.
+        edge_face: (C, 2) pairs of an edge and a face without a common vertex that may intersect (`Hierarchy.search`);
+            reordered.
 
     Attributes:
         edge_triangle: (H, 3) e0, e1 (e0 < e1), face id; sorted.
@@ -75,15 +78,11 @@ class Intersections:
         edge_triangle_tests: exact tests that were made.
     """
 
-    def __init__(
-        self, vertices: FloatArray, surface: Surface, pairs: IntArray | None = None, edge_face: IntArray | None = None
-    ) -> None:
+    def __init__(self, vertices: FloatArray, surface: Surface, edge_face: IntArray) -> None:
         self.vertices = vertices
         self.surface = surface
         self.skipped_faces = surface.skipped_faces
         s = surface.arrays
-        if edge_face is None:
-            edge_face = _edges_against_faces(vertices, s, pairs)
         keys = np.empty(max(64, len(surface.faces) // 8), np.int64)
         # predicates multiply three coordinates: scaled by a power of two, their roundings stay far from over- and underflow
         largest = float(np.abs(vertices).max()) if len(vertices) else 0.0
@@ -101,21 +100,28 @@ class Intersections:
         self.hit_edge: IntArray = (keys // face_count).astype(np.int32)
         self.hit_face: IntArray = (keys % face_count).astype(np.int32)
         self.hit_count = int(found)
+        self._scaled, self._power = scaled, power
+
+    def __getattr__(self, name: str) -> Any:
+        """Places, segments and contours are made when first asked for: who wants to know what hits need not wait for them."""
+        if name in _PLACED:
+            self._place()
+        elif name in _JOINED:
+            self._join()
+        else:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return self.__dict__[name]
+
+    def _place(self) -> None:
+        """Where the hits lie."""
+        s, found = self.surface.arrays, self.hit_count
         self.parameters = np.empty(found)
         self.weights = np.empty((found, 3))
         self.points = np.empty((found, 3))
-        if found:
-            contour_kernels.place_hits(
-                scaled, s.faces, s.edges, self.hit_edge, self.hit_face, self.parameters, self.weights, self.points
-            )
-            self.points = np.ldexp(self.points, -power)
-
-    def __getattr__(self, name: str) -> Any:
-        """Segments and contours are joined when first asked for: who looks for hits only need not wait for them."""
-        if name not in _JOINED:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        self._join()
-        return self.__dict__[name]
+        contour_kernels.place_hits(
+            self._scaled, s.faces, s.edges, self.hit_edge, self.hit_face, self.parameters, self.weights, self.points
+        )
+        self.points = np.ldexp(self.points, -self._power)
 
     def _join(self) -> None:
         """Pairs, segments and contours from the hits."""
@@ -286,8 +292,8 @@ def intersections(vertices: Any, faces: Any = None) -> Intersections:
         ValueError: names the offending index.
     """
     x, surface = as_surface(vertices, faces)
-    tree = _search(surface, x, 0.0, near=False)
-    return Intersections(x.copy(), surface, edge_face=tree.edge_face[: tree.counts[2]])
+    tree = _search(surface, x, 0.0, near=False, hits=True)
+    return _hits(x, surface, tree)
 
 
 def proximities(vertices: Any, faces: Any = None, distance: float | None = None) -> Proximities:
@@ -303,7 +309,34 @@ def proximities(vertices: Any, faces: Any = None, distance: float | None = None)
         faces, distance = None, faces
     distance = check_number(distance, "distance", 0.0, 1e12)
     x, surface = as_surface(vertices, faces)
-    tree = _search(surface, x, 0.5 * distance, near=True)
+    tree = _search(surface, x, 0.5 * distance, near=True, hits=False)
+    return _near(x, surface, tree, distance)
+
+
+def collisions(vertices: Any, faces: Any, distance: float) -> tuple[Proximities, Intersections]:
+    """`proximities` and `intersections` from one search, which is cheaper than both after each other.
+
+    Args:
+        vertices: (V, 3) [m].
+        faces: (F, 3) vertex ids, or a `Surface` that is reused while the vertices move.
+        distance: of proximities [m].
+
+    Raises:
+        ValueError: names the offending index, or a distance that is not positive and finite.
+    """
+    distance = check_number(distance, "distance", 0.0, 1e12)
+    x, surface = as_surface(vertices, faces)
+    tree = _search(surface, x, 0.5 * distance, near=True, hits=True)
+    return _near(x, surface, tree, distance), _hits(x, surface, tree)
+
+
+def _hits(x: FloatArray, surface: Surface, tree: Hierarchy) -> Intersections:
+    """What a search for hits has found."""
+    return Intersections(x.copy(), surface, tree.edge_face[: tree.counts[2]])
+
+
+def _near(x: FloatArray, surface: Surface, tree: Hierarchy, distance: float) -> Proximities:
+    """What a search for near pairs has found."""
     point_gaps, line_gaps = np.empty(tree.counts[0]), np.empty(tree.counts[1])
     faces, edges = surface.faces, surface.edges
     proximity.keep_near(x, faces, edges, distance, tree.vertex_face, tree.edge_edge, tree.counts, point_gaps, line_gaps)
@@ -316,20 +349,8 @@ def proximities(vertices: Any, faces: Any = None, distance: float | None = None)
     return Proximities(vt, vt_gaps, ee, ee_gaps, surface.skipped_faces)
 
 
-def _edges_against_faces(vertices: FloatArray, s: SurfaceArrays, pairs: Any) -> IntArray:
-    """Pairs of an edge and a face out of pairs of faces."""
-    edge_face = np.empty((max(64, 2 * len(pairs)), 2), np.int32)
-    while True:
-        found = contour_kernels.edges_against_faces(
-            vertices, s.faces, s.face_edges, s.edges, s.edge_owner, pairs, edge_face
-        )
-        if found <= len(edge_face):
-            return edge_face[:found]
-        edge_face = np.empty((found, 2), np.int32)
-
-
-def _search(surface: Surface, vertices: FloatArray, radius: float, near: bool) -> Hierarchy:
-    """The surface's own tree with the pairs of these boxes: near ones, or those that may hit.
+def _search(surface: Surface, vertices: FloatArray, radius: float, near: bool, hits: bool) -> Hierarchy:
+    """The surface's own tree with the pairs of these boxes: near ones, those that may hit, or both.
 
     Made at first use and kept while the vertices move, until it takes much more tests than when it was new.
     """
@@ -338,9 +359,10 @@ def _search(surface: Surface, vertices: FloatArray, radius: float, near: bool) -
         tree, fresh = Hierarchy(surface, vertices, _K, _ARITY, by_component=False), {}
         surface._tree = (tree, fresh)  # type: ignore[attr-defined]
     tree.refit(vertices, vertices, radius)
-    tree.search(near, not near)
+    tree.search(near, hits)
     counts = tree.counts.tolist()
-    effort = counts[3] / (len(surface.faces) + (counts[0] + counts[1] if near else counts[2]) + 1)
-    if effort > _WORN * fresh.setdefault(near, effort):
+    found = (counts[0] + counts[1] if near else 0) + (counts[2] if hits else 0)
+    effort = counts[3] / (len(surface.faces) + found + 1)
+    if effort > _WORN * fresh.setdefault((near, hits), effort):
         del surface._tree  # type: ignore[attr-defined]
     return tree

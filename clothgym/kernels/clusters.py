@@ -19,6 +19,9 @@ LANES = 16
 LEAF = 16
 """Faces of a leaf, and what fits a block: on a regular sheet they own 8 vertices and 24 edges."""
 
+MARGIN = 2.0**-18
+"""Of distances in single precision, coordinates being 0 .. 1: more than all roundings on the way there."""
+
 _DE_BRUIJN = 0x077CB531
 _BIT = np.zeros(32, np.uint8)
 for _bit in range(32):
@@ -34,6 +37,9 @@ class Clusters(NamedTuple):
     """
 
     boxes: NDArray[np.float32]  # (B, 6 G, 16) G groups of three axes: three lows, three highs; empty lanes: low > high
+    shapes: NDArray[
+        np.float32
+    ]  # (B, 6, 16) of primitives at rest: plane of a face, start and way of an edge, place of a vertex
     ids: NDArray[np.int32]  # (B, 4, 16) face, edge or vertex id, then its vertex ids (one repeated); -1 = none
     edge_start: NDArray[np.int32]  # (L + 1,) first edge block of each leaf
     vertex_start: NDArray[np.int32]  # (L + 1,) first vertex block of each leaf
@@ -118,8 +124,8 @@ def _lowest(mask):
 
 
 @device
-def _lanes(boxes, b, row, x0, y0, z0, x1, y1, z1):
-    """Bit mask of the boxes of block b that overlap the given one on the three axes from `row` on."""
+def _lanes(boxes, b, row, x0, y0, z0, x1, y1, z1, least):
+    """Bit mask of the boxes of block b that overlap the given one by `least` on the three axes from `row` on."""
     mask = np.uint64(0)
     for n in range(LANES):
         p = x1 - boxes[b, row, n]
@@ -133,7 +139,7 @@ def _lanes(boxes, b, row, x0, y0, z0, x1, y1, z1):
         t = t if t < u else u
         p = p if p < r else r
         p = p if p < t else t
-        mask |= np.uint64(p >= np.float32(0.0)) << np.uint64(n)
+        mask |= np.uint64(p >= least) << np.uint64(n)
     return mask
 
 
@@ -145,13 +151,13 @@ def _other_axes(boxes, b, box, lane, mask):
             break
         mask &= _lanes(
             boxes, b, row, boxes[box, row, lane], boxes[box, row + 1, lane], boxes[box, row + 2, lane],
-            boxes[box, row + 3, lane], boxes[box, row + 4, lane], boxes[box, row + 5, lane],
+            boxes[box, row + 3, lane], boxes[box, row + 4, lane], boxes[box, row + 5, lane], np.float32(0.0),
         )  # fmt: skip
     return mask
 
 
 @device
-def _lanes_of_strangers(boxes, ids, b, v, w, x0, y0, z0, x1, y1, z1):
+def _lanes_of_strangers(boxes, ids, b, v, w, x0, y0, z0, x1, y1, z1, least):
     """`_lanes` of the first three axes, for primitives that have neither vertex v nor w.
 
     In one loop with the boxes: alone, the comparison of ids is small enough to be unrolled into scalars.
@@ -173,42 +179,101 @@ def _lanes_of_strangers(boxes, ids, b, v, w, x0, y0, z0, x1, y1, z1):
         j = ids[b, 2, n]
         k = ids[b, 3, n]
         strange = (i != v) & (j != v) & (k != v) & (i != w) & (j != w) & (k != w)
-        mask |= np.uint64((p >= np.float32(0.0)) & strange) << np.uint64(n)
+        mask |= np.uint64((p >= least) & strange) << np.uint64(n)
     return mask
 
 
 @device
-def _cross(clusters, first, stop, block, stop_block, same, related, box, lane, pairs, found):
+def _planes_near(shapes, b, x, y, z, u, v, w, reach):
+    """Bit mask of the faces of block b whose plane comes within `reach` of an edge (start x, y, z; way u, v, w)."""
+    mask = np.uint64(0)
+    for n in range(LANES):
+        s = shapes[b, 0, n] * x + shapes[b, 1, n] * y + shapes[b, 2, n] * z - shapes[b, 3, n]
+        t = s + shapes[b, 0, n] * u + shapes[b, 1, n] * v + shapes[b, 2, n] * w
+        low = s if s < t else t
+        high = s if s > t else t
+        mask |= np.uint64((low <= reach) & (high >= -reach)) << np.uint64(n)
+    return mask
+
+
+@device
+def _edges_near(shapes, b, x, y, z, ux, uy, uz, reach):
+    """Bit mask of the edges of block b that may come within `reach` of an edge: no plane across the line of their middles,
+    and none along both, keeps them further apart."""
+    mask = np.uint64(0)
+    zero = np.float32(0.0)
+    far = reach * reach
+    uu = np.float32(0.01) * (ux * ux + uy * uy + uz * uz)
+    for n in range(LANES):
+        px = shapes[b, 0, n] - x
+        py = shapes[b, 1, n] - y
+        pz = shapes[b, 2, n] - z
+        wx = shapes[b, 3, n]
+        wy = shapes[b, 4, n]
+        wz = shapes[b, 5, n]
+        mx = px + px + wx - ux
+        my = py + py + wy - uy
+        mz = pz + pz + wz - uz
+        high = mx * ux + my * uy + mz * uz
+        low = mx * wx + my * wy + mz * wz
+        high = high if high > zero else zero
+        low = low if low < zero else zero
+        gap = mx * px + my * py + mz * pz + low - high
+        across = (gap > zero) & (gap * gap > far * (mx * mx + my * my + mz * mz))
+        nx = uy * wz - uz * wy
+        ny = uz * wx - ux * wz
+        nz = ux * wy - uy * wx
+        gap = nx * px + ny * py + nz * pz
+        nn = nx * nx + ny * ny + nz * nz
+        # nearly parallel edges: the direction across both is not to be trusted
+        along = (gap * gap > far * nn) & (nn > uu * (wx * wx + wy * wy + wz * wz))
+        mask |= np.uint64(not (across | along)) << np.uint64(n)
+    return mask
+
+
+@device
+def _cross(
+    boxes, shapes, ids, first, stop, block, stop_block, same, box, lane, least, reach, line, faces, pairs, found
+):
     """Pairs of primitives in blocks first .. stop whose box reaches a leaf's, with those in block .. stop_block.
 
-    same: both are the same blocks, so that each pair comes once; related: also pairs with a common vertex. Returns how many
+    same: both are the same blocks, so that each pair comes once; least: overlap of boxes that counts; reach: distance to the
+    planes of faces in block .. stop_block that counts, < 0 = none is known; line: first .. stop are edges. Returns how many
     pairs there are now, and how many blocks were tested.
     """
-    boxes = clusters.boxes
-    ids = clusters.ids
     more = boxes.shape[1] > 6
+    zero = np.float32(0.0)
     tests = np.int64(0)
     lx0, ly0, lz0 = boxes[box, 0, lane], boxes[box, 1, lane], boxes[box, 2, lane]
     lx1, ly1, lz1 = boxes[box, 3, lane], boxes[box, 4, lane], boxes[box, 5, lane]
     for b in range(first, stop):
-        mask = _lanes(boxes, b, 0, lx0, ly0, lz0, lx1, ly1, lz1)
+        mask = _lanes(boxes, b, 0, lx0, ly0, lz0, lx1, ly1, lz1, least)
         if more and mask != 0:
             mask = _other_axes(boxes, b, box, lane, mask)
         tests += 1
         while mask != 0:
             n = _lowest(mask)
             mask &= mask - np.uint64(1)
-            v = np.int32(-2) if related else ids[b, 1, n]
-            w = np.int32(-2) if related else ids[b, 2, n]
+            v = ids[b, 1, n]
+            w = ids[b, 2, n]
             x0, y0, z0 = boxes[b, 0, n], boxes[b, 1, n], boxes[b, 2, n]
             x1, y1, z1 = boxes[b, 3, n], boxes[b, 4, n], boxes[b, 5, n]
             for c in range(b if same else block, stop_block):
-                near = _lanes_of_strangers(boxes, ids, c, v, w, x0, y0, z0, x1, y1, z1)
+                near = _lanes_of_strangers(boxes, ids, c, v, w, x0, y0, z0, x1, y1, z1, least)
                 if more and near != 0:
                     near = _other_axes(boxes, c, b, n, near)
                 tests += 1
                 if same and c == b:
                     near &= ~np.uint64((2 << n) - 1)
+                if near != 0 and reach >= zero:
+                    px, py, pz = shapes[b, 0, n], shapes[b, 1, n], shapes[b, 2, n]
+                    ux = shapes[b, 3, n] if line else zero
+                    uy = shapes[b, 4, n] if line else zero
+                    uz = shapes[b, 5, n] if line else zero
+                    if faces:
+                        near &= _planes_near(shapes, c, px, py, pz, ux, uy, uz, reach)
+                    else:
+                        near &= _edges_near(shapes, c, px, py, pz, ux, uy, uz, reach)
                 while near != 0:
                     m = _lowest(near)
                     near &= near - np.uint64(1)
@@ -220,11 +285,8 @@ def _cross(clusters, first, stop, block, stop_block, same, related, box, lane, p
 
 
 @device
-def _leaves_near(clusters, i, stack, leaves):
+def _leaves_near(boxes, levels, arity, i, least, stack, leaves):
     """Leaves from i on whose boxes overlap that of leaf i; returns how many, and how many blocks were tested."""
-    boxes = clusters.boxes
-    levels = clusters.levels
-    arity = clusters.arity
     shift = 1 if arity == 2 else (2 if arity == 4 else (3 if arity == 8 else 4))
     box = levels[0] + i // arity
     lane = i % arity
@@ -240,7 +302,7 @@ def _leaves_near(clusters, i, stack, leaves):
         top -= 1
         level = stack[top, 0]
         block = stack[top, 1]
-        mask = _lanes(boxes, levels[level] + block, 0, x0, y0, z0, x1, y1, z1)
+        mask = _lanes(boxes, levels[level] + block, 0, x0, y0, z0, x1, y1, z1, least)
         if more and mask != 0:
             mask = _other_axes(boxes, levels[level] + block, box, lane, mask)
         tests += 1
@@ -262,31 +324,43 @@ def _leaves_near(clusters, i, stack, leaves):
 
 
 @kernel
-def primitive_pairs(clusters, near, hits, counts, stack, leaves, vertex_face, edge_edge, edge_face):
+def primitive_pairs(clusters, near, hits, reach, counts, stack, leaves, vertex_face, edge_edge, edge_face):
     """Pairs of primitives without a common vertex whose boxes overlap, each once [Mezger 2003, 6.2].
 
     near: list vertex-face (C, 2) and edge-edge pairs (C, 2); hits: list edge-face pairs (C, 2); what is not asked for stays
-    as it is. As many as fit are written; counts (4,) receives how many there are of each kind, and the number of tests of a
-    box against a block. stack (S, 2) and leaves (L,) are scratch: S = arity times levels is enough.
+    as it is. reach: what `refit_clusters` returned; primitives at rest are sifted by their shapes, and boxes widened for near
+    pairs count for hits as if they were not. As many as fit are written; counts (4,) receives how many there are of each
+    kind, and the number of tests of a box against a block. stack (S, 2) and leaves (L,) are scratch: S = arity times levels
+    is enough.
     """
+    boxes = clusters.boxes
+    shapes = clusters.shapes
+    ids = clusters.ids
     edge_start = clusters.edge_start
     vertex_start = clusters.vertex_start
+    levels = clusters.levels
     arity = clusters.arity
     points = np.int64(0)
     lines = np.int64(0)
     crossings = np.int64(0)
     work = np.int64(0)
+    still = reach >= 0.0
+    all_of_it = np.float32(0.0)
+    core = np.float32(reach) if still else all_of_it
+    unknown = np.float32(-1.0)
+    far = np.float32(reach + MARGIN) if still else unknown
+    pierced = np.float32(MARGIN) if still else unknown
     for i in range(edge_start.shape[0] - 1):
-        beside, tests = _leaves_near(clusters, i, stack, leaves)
+        beside, tests = _leaves_near(boxes, levels, arity, i, all_of_it if near else core, stack, leaves)
         work += tests
         for other in range(beside):
             j = leaves[other]
-            box_i = clusters.levels[0] + i // arity
-            box_j = clusters.levels[0] + j // arity
+            box_i = levels[0] + i // arity
+            box_j = levels[0] + j // arity
             if near:
                 lines, tests = _cross(
-                    clusters, edge_start[i], edge_start[i + 1], edge_start[j], edge_start[j + 1], i == j, False,
-                    box_j, j % arity, edge_edge, lines,
+                    boxes, shapes, ids, edge_start[i], edge_start[i + 1], edge_start[j], edge_start[j + 1], i == j,
+                    box_j, j % arity, all_of_it, far, True, False, edge_edge, lines,
                 )  # fmt: skip
                 work += tests
             for side in range(1 if i == j else 2):
@@ -295,33 +369,15 @@ def primitive_pairs(clusters, near, hits, counts, stack, leaves, vertex_face, ed
                 box = box_j if side == 0 else box_i
                 if near:
                     points, tests = _cross(
-                        clusters,
-                        vertex_start[a],
-                        vertex_start[a + 1],
-                        b,
-                        b + 1,
-                        False,
-                        False,
-                        box,
-                        b % arity,
-                        vertex_face,
-                        points,
-                    )
+                        boxes, shapes, ids, vertex_start[a], vertex_start[a + 1], b, b + 1, False,
+                        box, b % arity, all_of_it, far, False, True, vertex_face, points,
+                    )  # fmt: skip
                     work += tests
                 if hits:
                     crossings, tests = _cross(
-                        clusters,
-                        edge_start[a],
-                        edge_start[a + 1],
-                        b,
-                        b + 1,
-                        False,
-                        False,
-                        box,
-                        b % arity,
-                        edge_face,
-                        crossings,
-                    )
+                        boxes, shapes, ids, edge_start[a], edge_start[a + 1], b, b + 1, False,
+                        box, b % arity, core, pierced, True, True, edge_face, crossings,
+                    )  # fmt: skip
                     work += tests
     if near:
         counts[0] = points
@@ -329,29 +385,3 @@ def primitive_pairs(clusters, near, hits, counts, stack, leaves, vertex_face, ed
     if hits:
         counts[2] = crossings
     counts[3] = work
-
-
-@kernel
-def face_pairs(clusters, stack, leaves, pairs):
-    """Pairs of faces a < b whose boxes overlap, shared vertices or not; as many as fit into pairs (C, 2) are written.
-
-    Returns how many there are, and the number of tests of a box against a block.
-    """
-    arity = clusters.arity
-    found = np.int64(0)
-    work = np.int64(0)
-    for i in range(clusters.edge_start.shape[0] - 1):
-        beside, tests = _leaves_near(clusters, i, stack, leaves)
-        work += tests
-        for other in range(beside):
-            j = leaves[other]
-            found, tests = _cross(
-                clusters, i, i + 1, j, j + 1, i == j, True, clusters.levels[0] + j // arity, j % arity, pairs, found
-            )
-            work += tests
-    for n in range(min(found, pairs.shape[0])):
-        a = pairs[n, 0]
-        b = pairs[n, 1]
-        pairs[n, 0] = min(a, b)
-        pairs[n, 1] = max(a, b)
-    return found, work

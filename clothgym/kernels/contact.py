@@ -16,7 +16,7 @@ from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import hold_grips, keep_above_ground
 from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle
 
-_ACTIVE = 1.25
+ACTIVE = 1.25
 """Pairs predicted to come nearer than this many thicknesses are projected; the certificate watches over the others."""
 
 
@@ -106,7 +106,7 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, separ
         predicted = nx * _combine(p, quads, n, w0, w1, w2, w3, 0)
         predicted += ny * _combine(p, quads, n, w0, w1, w2, w3, 1)
         predicted += nz * _combine(p, quads, n, w0, w1, w2, w3, 2)
-        if predicted > _ACTIVE * h:
+        if predicted > ACTIVE * h:
             continue
         if active < capacity:
             for k in range(4):

@@ -98,50 +98,6 @@ def find_hits(x, faces, edges, edge_face, count, keys):
 
 
 @device
-def _edge_box_apart_from_face(x, e0, e1, a0, a1, a2):
-    for c in range(3):
-        p = x[e0, c]
-        q = x[e1, c]
-        u = x[a0, c]
-        v = x[a1, c]
-        w = x[a2, c]
-        if max(p, q) < min(u, v, w) or max(u, v, w) < min(p, q):
-            return True
-    return False
-
-
-@kernel
-def edges_against_faces(x, faces, face_edges, edges, edge_owner, pairs, edge_face):
-    """Pairs of an edge and a face without a common vertex whose boxes meet, out of pairs of faces (C, 2).
-
-    Each edge comes from its owner face only. Writes as many to edge_face (K, 2) as fit; returns how many there are.
-    """
-    found = 0
-    for n in range(pairs.shape[0]):
-        for side in range(2):
-            edge_of = pairs[n, side]
-            face = pairs[n, 1 - side]
-            a0 = faces[face, 0]
-            a1 = faces[face, 1]
-            a2 = faces[face, 2]
-            for k in range(3):
-                edge = face_edges[edge_of, k]
-                if edge_owner[edge] != edge_of:
-                    continue
-                e0 = edges[edge, 0]
-                e1 = edges[edge, 1]
-                if e0 == a0 or e0 == a1 or e0 == a2 or e1 == a0 or e1 == a1 or e1 == a2:
-                    continue
-                if _edge_box_apart_from_face(x, e0, e1, a0, a1, a2):
-                    continue
-                if found < edge_face.shape[0]:
-                    edge_face[found, 0] = edge
-                    edge_face[found, 1] = face
-                found += 1
-    return found
-
-
-@device
 def _in_plane_parameter(x, e0, e1, a0, a1, a2):
     """Middle of the part of an edge that lies in a triangle of the same plane; 0.5 where there is none."""
     nx, ny, nz, _ = triangle_normal(x, a0, a1, a2)

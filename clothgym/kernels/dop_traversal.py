@@ -29,8 +29,9 @@ class Tree(NamedTuple):
     child_count: NDArray[np.int64]  # (N,) 0 = leaf
     node_face: NDArray[np.int64]  # (N,) polygon of a leaf, -1 inside
     node_group: NDArray[np.int32]  # (N,) face group, -1 = several
-    clique: NDArray[np.uint8]  # (N,) all groups below share vertices with each other
+    clique: NDArray[np.uint8]  # (N,) all groups below share vertices with each other, and all polygons hang together
     group_adjacent: NDArray[np.uint8]  # (G, G)
+    component: NDArray[np.int32]  # (P,) connected component
     corners: NDArray[np.int32]  # (P, 4) a triangle repeats its last one
     border_start: NDArray[np.int64]  # (N + 1,)
     border: NDArray[np.int32]  # vertices around each region in order; none where the outline is no single loop
@@ -38,6 +39,7 @@ class Tree(NamedTuple):
     normal_axis: NDArray[np.float64]  # (N, 3)
     normal_half: NDArray[np.float64]  # (N,) [rad]
     altitude: NDArray[np.float64]  # (N,) [m] least of all triangles
+    radius: NDArray[np.float64]  # (N,) [m] EXACT: every two vertices must keep both their radii beside the rules' reach
     speed_axis: NDArray[np.float64]  # (N, 3)
     speed_half: NDArray[np.float64]  # (N,) [rad]
     speed_low: NDArray[np.float64]  # (N,) [m/s]
@@ -88,7 +90,7 @@ def _self_clear(tree, i, x, rules, plane, counts):
     counts[CONE_TESTS] += 1
     if rules.cones == PAPER:
         return tree.clique[i] == 1 and 2.0 * tree.normal_half[i] < rules.close_angle
-    reach = rules.reach
+    reach = rules.reach + 2.0 * tree.radius[i]
     if rules.dt > 0.0:
         _, _, _, radius = speed_ball(tree, i)
         reach += 2.0 * radius * rules.dt
@@ -180,6 +182,8 @@ def traverse(a, b, same, x, lengths, rules, skip, start, stack, pairs, stops, co
                     skipped = False
                     if same == 1 and rules.leaf_angle > 0.0:
                         adjacent = a.group_adjacent[group_a[i], group_a[j]]
+                        if a.component[face_a[i]] != a.component[face_a[j]]:
+                            adjacent = np.uint8(0)
                         p_corners = corners_a[face_a[i]]
                         q_corners = corners_a[face_a[j]]
                         skipped = _insignificant(adjacent, a.normal_axis, p_corners, q_corners, i, j, least)

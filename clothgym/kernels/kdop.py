@@ -76,13 +76,12 @@ _MARGIN = 2.0**-20
 
 
 @device
-def _vertex_ways(start, end, radius, axes, axis_lengths, ways):
-    """Intervals of each vertex in single precision, with a margin: what overlaps in exact numbers overlaps here.
+def _frame(start, end, radius, origin):
+    """Writes the low corner of the box of all ways, halved, to origin (3,); returns the scale that makes it 0 .. 1.
 
-    Coordinates are 0 .. 1 in the box of all ways; halves keep differences of the largest numbers finite.
+    Halves keep differences of the largest numbers finite.
     """
     same = radius.shape[0] == 1
-    origin = np.empty(3, np.float64)
     extent = 0.0
     for k in range(3):
         low = math.inf
@@ -95,7 +94,13 @@ def _vertex_ways(start, end, radius, axes, axis_lengths, ways):
             high = max(high, 0.5 * max(p, q) + 0.5 * pad)
         origin[k] = low
         extent = max(extent, high - low)
-    scale = 1.0 / max(extent, 1e-290)
+    return 1.0 / max(extent, 1e-290)
+
+
+@device
+def _vertex_ways(start, end, radius, axes, axis_lengths, origin, scale, ways):
+    """Intervals of each vertex in single precision, with a margin: what overlaps in exact numbers overlaps here."""
+    same = radius.shape[0] == 1
     for v in range(start.shape[0]):
         pad = 0.5 * radius[0 if same else v]
         px = (0.5 * start[v, 0] - origin[0]) * scale
@@ -113,14 +118,68 @@ def _vertex_ways(start, end, radius, axes, axis_lengths, ways):
             ways[v, row + 3] = np.float32((p if p > q else q) + wide)
 
 
+@device
+def _shapes(x, origin, scale, clusters):
+    """Planes of faces, starts and ways of edges, places of vertices in single precision, from coordinates 0 .. 1.
+
+    Ways are differences of doubles, so that their direction is as good as their own digits. The plane of a face that is
+    next to nothing or to a line is 0 n = 0, which keeps nothing away.
+    """
+    ids = clusters.ids
+    shapes = clusters.shapes
+    half = 0.5 * scale
+    faces = clusters.edge_start[0]
+    edges = clusters.vertex_start[0]
+    for b in range(clusters.vertex_start[clusters.vertex_start.shape[0] - 1]):
+        for n in range(16):
+            i = ids[b, 1, n]
+            if i < 0:
+                break
+            px = (0.5 * x[i, 0] - origin[0]) * scale
+            py = (0.5 * x[i, 1] - origin[1]) * scale
+            pz = (0.5 * x[i, 2] - origin[2]) * scale
+            j = ids[b, 2, n]
+            ux = half * (x[j, 0] - x[i, 0])
+            uy = half * (x[j, 1] - x[i, 1])
+            uz = half * (x[j, 2] - x[i, 2])
+            if b < faces:
+                k = ids[b, 3, n]
+                wx = half * (x[k, 0] - x[i, 0])
+                wy = half * (x[k, 1] - x[i, 1])
+                wz = half * (x[k, 2] - x[i, 2])
+                nx = uy * wz - uz * wy
+                ny = uz * wx - ux * wz
+                nz = ux * wy - uy * wx
+                size = math.sqrt(nx * nx + ny * ny + nz * nz)
+                long = max(ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz)
+                inverse = 1.0 / size if size > 1e-6 * long and size > 1e-30 else 0.0
+                shapes[b, 0, n] = np.float32(inverse * nx)
+                shapes[b, 1, n] = np.float32(inverse * ny)
+                shapes[b, 2, n] = np.float32(inverse * nz)
+                shapes[b, 3, n] = np.float32(inverse * (nx * px + ny * py + nz * pz))
+                continue
+            shapes[b, 0, n] = np.float32(px)
+            shapes[b, 1, n] = np.float32(py)
+            shapes[b, 2, n] = np.float32(pz)
+            if b < edges:
+                shapes[b, 3, n] = np.float32(ux)
+                shapes[b, 4, n] = np.float32(uy)
+                shapes[b, 5, n] = np.float32(uz)
+
+
 @kernel
-def refit_clusters(start, end, radius, axes, axis_lengths, clusters, ways):
+def refit_clusters(start, end, radius, still, axes, axis_lengths, clusters, ways):
     """Boxes of `clusters.Clusters` around their primitives on the way from `start` to `end` (V, 3) [Mezger 2003, eq. 2].
 
     radius (V,) or (1,) for all [m] widens them; axes (A, 3), A a multiple of three, axis_lengths (A,); ways (V, 2 A) is
-    scratch.
+    scratch. still: start is end and radius one for all; then the shapes of the primitives are written too, and twice the
+    radius is returned in units of the boxes, otherwise -1.
     """
-    _vertex_ways(start, end, radius, axes, axis_lengths, ways)
+    origin = np.empty(3, np.float64)
+    scale = _frame(start, end, radius, origin)
+    _vertex_ways(start, end, radius, axes, axis_lengths, origin, scale, ways)
+    if still:
+        _shapes(start, origin, scale, clusters)
     boxes = clusters.boxes
     ids = clusters.ids
     leaves = clusters.edge_start.shape[0] - 1
@@ -177,3 +236,4 @@ def refit_clusters(start, end, radius, axes, axis_lengths, clusters, ways):
                     boxes[b, r + 3, n] = high
         first = levels[level]
         many = levels[level + 1] - levels[level]
+    return radius[0] * scale if still else -1.0

@@ -41,20 +41,21 @@ def directed_travel(along, length, cosine, sine):
 
 
 @kernel
-def refit(tree, projections, ends, axes, lengths, eps, dt, wide, mode, stale):
+def refit(tree, projections, ends, axes, lengths, radius, dt, wide, mode, stale):
     """Boxes (N, 2 A) of all stale nodes, children before parents.
 
     Args:
         tree: reads corners and velocity cones, writes boxes.
         projections, ends: (V, A) of the positions, and of those at the end of the step (mode SWEPT; else unread).
         axes, lengths: (A, 3), (A,).
-        eps: distance at which proximities are wanted [m]; a box takes half of it.
+        radius: (V,) or (1,) for all: what a box holds around its vertices [m], half the distance of proximities.
         dt: time covered [s].
         wide: half-angle from which a cone has no direction [rad]: ORIENTED then takes max(eps / 2, speed dt) on all sides, as
             the paper prints it, CONSERVATIVE the sum.
         mode: one of the four above.
         stale: (N,) uint8.
     """
+    same = radius.shape[0] == 1
     for node in range(len(tree.child_count) - 1, -1, -1):
         if stale[node] == 0:
             continue
@@ -71,12 +72,6 @@ def refit(tree, projections, ends, axes, lengths, eps, dt, wide, mode, stale):
                 tree.boxes[node, k + 1] = high
             continue
         polygon = tree.node_face[node]
-        c0, c1, c2, c3 = (
-            tree.corners[polygon, 0],
-            tree.corners[polygon, 1],
-            tree.corners[polygon, 2],
-            tree.corners[polygon, 3],
-        )
         travel = 0.0
         directed = False
         cosine = sine = nx = ny = nz = 0.0
@@ -88,42 +83,65 @@ def refit(tree, projections, ends, axes, lengths, eps, dt, wide, mode, stale):
             cosine = math.cos(half)
             sine = math.sin(half)
         for a in range(len(lengths)):
-            low = min(projections[c0, a], projections[c1, a], projections[c2, a], projections[c3, a])
-            high = max(projections[c0, a], projections[c1, a], projections[c2, a], projections[c3, a])
-            pad = 0.5 * eps * lengths[a] * (1.0 + 1e-12)
-            below = pad
-            above = pad
-            if mode == SWEPT:
-                low = min(low, ends[c0, a], ends[c1, a], ends[c2, a], ends[c3, a])
-                high = max(high, ends[c0, a], ends[c1, a], ends[c2, a], ends[c3, a])
-            elif directed:
+            inner_low = low = math.inf
+            inner_high = high = -math.inf
+            for n in range(4):
+                c = tree.corners[polygon, n]
+                pad = radius[0 if same else c] * lengths[a] * (1.0 + 1e-12)
+                at = projections[c, a]
+                inner_low = min(inner_low, at)
+                inner_high = max(inner_high, at)
+                low = min(low, at - pad)
+                high = max(high, at + pad)
+                if mode == SWEPT:
+                    low = min(low, ends[c, a] - pad)
+                    high = max(high, ends[c, a] + pad)
+            if directed:
                 along = axes[a, 0] * nx + axes[a, 1] * ny + axes[a, 2] * nz
                 if mode == ORIENTED:
-                    above += max(along, 0.0) * travel
-                    below += max(-along, 0.0) * travel
+                    high += max(along, 0.0) * travel
+                    low -= max(-along, 0.0) * travel
                 else:
-                    above += directed_travel(along, lengths[a], cosine, sine) * travel
-                    below += directed_travel(-along, lengths[a], cosine, sine) * travel
+                    high += directed_travel(along, lengths[a], cosine, sine) * travel
+                    low -= directed_travel(-along, lengths[a], cosine, sine) * travel
             elif mode == ORIENTED:
-                above = max(pad, travel * lengths[a])
-                below = above
+                low = min(low, inner_low - travel * lengths[a])
+                high = max(high, inner_high + travel * lengths[a])
             elif mode == CONSERVATIVE:
-                above += travel * lengths[a]
-                below = above
-            tree.boxes[node, 2 * a] = low - below
-            tree.boxes[node, 2 * a + 1] = high + above
+                low -= travel * lengths[a]
+                high += travel * lengths[a]
+            tree.boxes[node, 2 * a] = low
+            tree.boxes[node, 2 * a + 1] = high
 
 
 @kernel
-def mark_stale(x, d, seen, seen_d, start, members, tolerance, stale):
+def widest(tree, radius, stale):
+    """Largest radius [m] of the vertices below each stale node, into `tree.radius` (N,); radius (V,) or (1,) for all."""
+    for node in range(len(tree.child_count) - 1, -1, -1):
+        if stale[node] == 0:
+            continue
+        most = 0.0
+        if tree.child_count[node] > 0:
+            first = tree.child_start[node]
+            for child in range(first, first + tree.child_count[node]):
+                most = max(most, tree.radius[child])
+        else:
+            for n in range(4):
+                most = max(most, radius[0 if radius.shape[0] == 1 else tree.corners[tree.node_face[node], n]])
+        tree.radius[node] = most
+
+
+@kernel
+def mark_stale(x, d, r, seen, seen_d, seen_r, start, members, tolerance, stale):
     """Groups that must be refitted because a vertex is further than the tolerance [m] from where its group's boxes saw it.
 
-    x, d: positions and ways (V, 3) [m]; seen, seen_d: those that the boxes hold, brought up to date here for every vertex of a
-    group that must. start (G + 1,), members: vertices of each group, borders belong to several; stale (G,) uint8, written: a
-    group that shares a vertex that changed is stale too. A way counts at both ends, so it is bounded in between.
+    x, d: positions and ways (V, 3) [m]; r: radii (V,) or (1,) for all [m], what they grew by counts as well; seen, seen_d,
+    seen_r: those that the boxes hold, brought up to date here for every vertex of a group that must. start (G + 1,), members:
+    vertices of each group, borders belong to several; stale (G,) uint8, written: a group that shares a vertex that changed is
+    stale too. A way counts at both ends, so it is bounded in between.
     """
     fresh = np.zeros(x.shape[0], np.uint8)
-    limit = tolerance * tolerance
+    own = r.shape[0] == x.shape[0]
     for g in range(len(stale)):
         stale[g] = 0
         for n in range(start[g], start[g + 1]):
@@ -135,7 +153,8 @@ def mark_stale(x, d, seen, seen_d, start, members, tolerance, stale):
                 near += gap * gap
                 gap += d[i, k] - seen_d[i, k]
                 far += gap * gap
-            if near > limit or far > limit:
+            limit = tolerance - max(0.0, r[i if own else 0] - seen_r[i if own else 0])
+            if limit < 0.0 or near > limit * limit or far > limit * limit:
                 stale[g] = 1
                 break
     for g in range(len(stale)):
@@ -147,6 +166,8 @@ def mark_stale(x, d, seen, seen_d, start, members, tolerance, stale):
             for k in range(3):
                 seen[i, k] = x[i, k]
                 seen_d[i, k] = d[i, k]
+            if own:
+                seen_r[i] = r[i]
     for g in range(len(stale)):
         if stale[g] == 0:
             for n in range(start[g], start[g + 1]):

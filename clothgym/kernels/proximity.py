@@ -194,7 +194,7 @@ def keep_near(x, faces, edges, distance, vertex_face, edge_edge, counts, point_g
     vertex_face (C, 2) vertex and face, edge_edge (C, 2) edge ids, counts (4,) how many there are; afterwards counts[0] and
     counts[1] say how many stayed.
 
-    First the cheap tests, whose outcome is added instead of branched on: it is as good as random.
+    Whether a pair stays is added instead of branched on: it is as good as random.
     """
     left = 0
     for n in range(counts[0]):
@@ -213,17 +213,10 @@ def keep_near(x, faces, edges, distance, vertex_face, edge_edge, counts, point_g
         point_gaps[kept] = d
         kept += d < distance
     counts[0] = kept
-    left = 0
+    kept = 0
     for n in range(counts[1]):
         e = min(edge_edge[n, 0], edge_edge[n, 1])
         f = max(edge_edge[n, 0], edge_edge[n, 1])
-        edge_edge[left, 0] = e
-        edge_edge[left, 1] = f
-        left += not _edges_apart(x, edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1], distance)
-    kept = 0
-    for n in range(left):
-        e = edge_edge[n, 0]
-        f = edge_edge[n, 1]
         d = _edge_edge_distance(x, edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1])
         edge_edge[kept, 0] = e
         edge_edge[kept, 1] = f

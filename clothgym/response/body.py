@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.body_contact import BodyContact
 from clothgym.kernels.body_map import BodyMap
+from clothgym.kernels.clamped import between_bodies
 from clothgym.model import ClothModel
 
 if TYPE_CHECKING:
@@ -24,6 +25,9 @@ _FACE_SHARE = 0.5
 
 _FACE_PUSH = 2e-3
 """[m] a point of a face moves no further than this a sweep: a face across a limb must not throw its corners out."""
+
+_CLAMPED = 0.1
+"""Share of the tolerance by which bodies must push a vertex within a substep before it can count as clamped."""
 
 
 def face_points(parts: int) -> FloatArray:
@@ -92,3 +96,7 @@ class BodyResponse:
         self._contact.forces[:] = 0.0
         frame.body_forces = self._contact.forces
         return self._contact
+
+    def clamped(self, marks: BoolArray) -> int:
+        """How many vertices the bodies press from opposite sides at the end of a step, of those not in marks (V,) yet."""
+        return between_bodies(self._contact, _CLAMPED * self._contact.tolerance, marks)

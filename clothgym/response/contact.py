@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
+from clothgym.detection.height_field import HeightFields
 from clothgym.detection.hierarchy import Hierarchy
+from clothgym.detection.mezger import MezgerHierarchy
 from clothgym.kernels import contact, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.model import ClothModel
@@ -25,10 +29,18 @@ class Candidates:
     Every vertex is expected at start + share u with share in [0, 1]. Boxes are swept along u and widened by half the
     thickness and each vertex's slack; as long as no vertex is further than its slack from where it was expected, no
     pair is missing.
+
+    Sheets that are height fields, and stay so, have no pairs: `flat` says that this was decided, and pairs are not searched
+    as long as it holds.
     """
 
-    def __init__(self, model: ClothModel, tree: Hierarchy | BruteForce) -> None:
+    def __init__(
+        self, model: ClothModel, tree: Hierarchy | BruteForce | MezgerHierarchy, flat_check: bool = False
+    ) -> None:
         self.model, self.tree = model, tree
+        sheets = HeightFields(model.surface, contact.ACTIVE * model.thickness) if flat_check else None
+        self.sheets = sheets if sheets is not None and sheets.possible else None
+        self.flat = False
         count = len(model.faces)
         self.quads: IntArray = np.zeros((8 * count, 4), np.int32)
         self.kinds = np.zeros(8 * count, np.uint8)
@@ -39,14 +51,34 @@ class Candidates:
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
         self.gathered = 0
+        self._booked: dict[str, int] = {}
 
     @property
     def box_pairs(self) -> int:
         """Pairs of primitives whose boxes overlap."""
-        return int(self.tree.counts[0] + self.tree.counts[1])
+        return 0 if self.flat else int(self.tree.counts[0] + self.tree.counts[1])
+
+    def settle(self, x: FloatArray, travel: FloatArray, horizon: int = 1) -> bool:
+        """Whether nothing can touch when vertices leave x along `travel` (V, 3) [m], in `horizon` substeps."""
+        self.flat = self.sheets is not None and self.sheets.decide(x, travel)
+        if self.flat:
+            self.horizon, self.count = horizon, 0
+        return self.flat
+
+    def book(self, count: Callable[[str, int], None]) -> None:
+        """Reports what the tree has counted since the last time."""
+        for name, total in getattr(self.tree, "counters", {"box_tests": self.tree.box_tests}).items():
+            if total != self._booked.get(name, 0):
+                count(name, total - self._booked.get(name, 0))
+                self._booked[name] = total
 
     def expect(self, x: FloatArray, travel: FloatArray, horizon: int = 1) -> None:
-        """Pairs of boxes for vertices that leave x along `travel` (V, 3) [m], in `horizon` substeps."""
+        """Pairs of boxes for vertices that leave x along `travel` (V, 3) [m], in `horizon` substeps.
+
+        Nothing is searched if nothing could touch so far and `settle` says so again.
+        """
+        if self.flat and self.settle(x, travel, horizon):
+            return
         self.horizon = horizon
         self.start[:] = x
         self.travel[:] = travel
@@ -59,6 +91,8 @@ class Candidates:
 
     def gather(self) -> None:
         """Primitive pairs from the pairs of boxes; buffers grow by counting."""
+        if self.flat:
+            return
         surface, tree = self.model.surface, self.tree
         while True:
             found = proximity.gather_quads(
@@ -84,6 +118,8 @@ class Candidates:
 
     def outdated(self, x: FloatArray, share: float) -> bool:
         """Whether a vertex is further than its slack from start + share travel, so that pairs may be missing."""
+        if self.flat and self.sheets is not None:
+            return not self.sheets.stays(x, share)
         return proximity.largest_deviation(x, self.start, self.travel, share, self.slack) > 0.0
 
 

@@ -27,6 +27,7 @@ class Frame:
         self.body_forces: FloatArray = np.zeros((0, 3))
         self.last_intersections: Any = None
         self.untangling_passes = 0
+        self.clamped = 0
         self.work: dict[str, int] = {}
         self.profile: dict[str, list[float]] = {}
         self.set_grips()

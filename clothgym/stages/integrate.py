@@ -63,8 +63,11 @@ class IntegrateOnBody(Integrate):
     def __init__(self, step: Step, body: Any, windy: bool) -> None:
         super().__init__(step, windy)
         self.body = body
+        self.clamped = np.zeros(len(step.radii), np.bool_)
         self.name = f"{self.name[:-1]}, {body.label}]"
 
     def run(self, frame: Frame) -> None:
         s = self.step
         s.integrator.run_on_body(frame, s.motion(frame), s.radii, s.ground, self.body.begin(frame))
+        self.clamped[:] = False
+        frame.clamped = self.body.clamped(self.clamped)

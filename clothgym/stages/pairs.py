@@ -10,6 +10,20 @@ from clothgym.arrays import FloatArray
 from clothgym.stages.frame import Frame
 
 
+class Rebuild:
+    """A new tree where the old one has grown too loose."""
+
+    reads: tuple[str, ...] = ("positions",)
+    writes: tuple[str, ...] = ("tree",)
+
+    def __init__(self, candidates: Any, growth: float) -> None:
+        self.candidates = candidates
+        self.name = f"tree [rebuilt at {growth:g}x]"
+
+    def run(self, frame: Frame) -> None:
+        self.candidates.tree.renew(frame.state.positions)
+
+
 class FacePairs:
     """Pairs of primitives whose boxes, swept along the expected motion of the step, overlap."""
 
@@ -26,6 +40,11 @@ class FacePairs:
     def look(self, frame: Frame, horizon: int) -> None:
         """Looks `horizon` substeps ahead."""
         state, ahead = frame.state, self.step * horizon / self.substeps
+        # gravity is left out: what stands still stays, and what falls, falls together
+        if self.candidates.settle(state.positions, ahead * state.velocities, horizon):
+            frame.count("decided_flat", 1)
+            frame.count("box_pairs", 0)
+            return
         fall = (0.5 * ahead * ahead) * self.gravity
         free = (frame.model.inverse_masses > 0)[:, None]
         travel = ahead * state.velocities + np.where(free, fall, 0.0)

@@ -44,6 +44,10 @@ class Untangle:
     def run(self, frame: Frame) -> None:
         state, model, fidelity = frame.state, frame.model, self.fidelity
         self.apart[:] = False
+        self.idle = self.candidates.flat  # decided for where everything is now, too
+        if self.idle:
+            frame.count("hits", 0)
+            return
         tree = self.candidates.tree
         moved = False
         for _ in range(max(1, self.passes)):

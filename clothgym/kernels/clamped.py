@@ -1,0 +1,116 @@
+"""Vertices that are pressed from opposite sides harder than they can give way: cloth clamped between layers or body parts."""
+
+from __future__ import annotations
+
+import math
+
+from clothgym._jit import device, kernel
+
+_TIGHT = 0.5
+"""Share of the thickness below which a pressed contact counts as tight."""
+
+_BALANCED = 0.5
+"""Pushes from opposite sides: their sum is a smaller share of their sizes than this."""
+
+
+@kernel
+def between_layers(p, contacts, count, push, clamped):
+    """Marks vertices, clamped (V,), that tight contacts press from opposite sides at the end of a substep; returns how many.
+
+    p (V, 3): positions after the sweeps; contacts: of which the first `count` are active; push (V, 4) or wider is scratch.
+
+    A contact is tight where the sweeps could not keep half its thickness. In a pile at rest every layer is pressed from both
+    sides too, but none is tight.
+    """
+    push[:] = 0.0
+    clamped[:] = False
+    for n in range(count):
+        if contacts.pressed[n] <= 0.0 or contacts.limit[n] < math.inf:
+            continue  # beside an intersection, contact gives way
+        gap = 0.0
+        for k in range(4):
+            v = contacts.quads[n, k]
+            for c in range(3):
+                gap += contacts.weights[n, k] * contacts.normals[n, c] * p[v, c]
+        tight = gap < _TIGHT * contacts.rest[n]
+        for k in range(4):
+            v = contacts.quads[n, k]
+            force = contacts.pressed[n] * contacts.weights[n, k]
+            for c in range(3):
+                push[v, c] += force * contacts.normals[n, c]
+            push[v, 3] += abs(force)
+            clamped[v] = clamped[v] or (tight and force != 0.0)
+    found = 0
+    for v in range(p.shape[0]):
+        clamped[v] = clamped[v] and _is_balanced(push[v, 0], push[v, 1], push[v, 2], push[v, 3])
+        found += clamped[v]
+    return found
+
+
+@kernel
+def share_room(p, contacts, count, clamped, push):
+    """Moves each clamped vertex into the middle of what presses it, so that no side takes all the room there is.
+
+    A sweep satisfies the last contact at the cost of the one before, and within some substeps one side would be pressed to
+    nothing. Of all contacts of a vertex the one that lacks most, and the one across from it that lacks most, share what both
+    lack; p (V, 3) changes at vertices in clamped (V,); push (V, 8) is scratch.
+    """
+    for turn in range(2):
+        if turn == 0:
+            push[:] = 0.0
+        for n in range(count):
+            if contacts.pressed[n] <= 0.0 or contacts.limit[n] < math.inf:
+                continue
+            lack = contacts.rest[n]
+            share = 0.0
+            for k in range(4):
+                v = contacts.quads[n, k]
+                w = contacts.weights[n, k]
+                share += w * w if clamped[v] else 0.0
+                for c in range(3):
+                    lack -= w * contacts.normals[n, c] * p[v, c]
+            if share == 0.0 or lack <= 0.0:
+                continue
+            for k in range(4):
+                v = contacts.quads[n, k]
+                if not clamped[v]:
+                    continue
+                # a corner that hardly takes part must not be thrown out for the others
+                amount = min(max(lack * contacts.weights[n, k] / share, -lack), lack)
+                size = abs(amount)
+                if turn == 1:
+                    along = 0.0
+                    for c in range(3):
+                        along += amount * contacts.normals[n, c] * push[v, c]
+                    if along >= 0.0:
+                        continue
+                at = 4 * turn
+                if size > push[v, at + 3]:
+                    for c in range(3):
+                        push[v, at + c] = amount * contacts.normals[n, c]
+                    push[v, at + 3] = size
+    for v in range(p.shape[0]):
+        if clamped[v]:
+            for c in range(3):
+                p[v, c] += 0.5 * (push[v, c] + push[v, 4 + c])
+
+
+@kernel
+def between_bodies(contact, least, clamped):
+    """Marks vertices, clamped (V,), that bodies have pushed to and fro by more than `least` [m] within a substep; returns
+    how many were not marked before. contact: `body_contact.BodyContact` after the sweeps."""
+    found = 0
+    for v in range(contact.pressed.shape[0]):
+        if clamped[v]:
+            continue
+        x = contact.moved[v, 0] - contact.dragged[v, 0]
+        y = contact.moved[v, 1] - contact.dragged[v, 1]
+        z = contact.moved[v, 2] - contact.dragged[v, 2]
+        clamped[v] = contact.pressed[v] > least and _is_balanced(x, y, z, contact.pressed[v])
+        found += clamped[v]
+    return found
+
+
+@device
+def _is_balanced(x, y, z, size):
+    return size > 0.0 and math.sqrt(x * x + y * y + z * z) < _BALANCED * size

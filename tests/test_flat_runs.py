@@ -1,0 +1,165 @@
+"""Runs of sheets with the check for height fields and without: not a bit may differ."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+
+import naive_mechanics
+import numpy as np
+import pytest
+import trimesh
+
+import clothgym as cg
+
+
+def sheet(**changes):
+    scene = cg.scenes.make("hanging_sheet", resolution=10)
+    cloth = scene.cloths[0]
+    material = dataclasses.replace(cloth.material, **changes)
+    return dataclasses.replace(scene, cloths=(dataclasses.replace(cloth, material=material),), self_collision=True)
+
+
+def held():
+    return dataclasses.replace(sheet(), grips=(cg.Grip(radius=0.15),), wind=(3.0, 1.0, 2.0))
+
+
+def above_ball():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    mesh = cg.grid(0.5, 0.5, 8, 8).transformed(translation=(0.02, 0.23, 0.01))
+    return cg.Scene([cg.Cloth(mesh)], bodies=[cg.Body(ball)], ground=-0.3)
+
+
+def two_apart():
+    mesh = cg.grid(0.3, 0.3, 4, 4)
+    return cg.Scene(
+        [cg.Cloth(mesh), cg.Cloth(mesh.transformed(translation=(0.05, 0.2, 0.02)), name="other")], ground=-0.05
+    )
+
+
+EULER = dataclasses.replace(cg.Fidelity(), integrator="symplectic_euler", substeps=0, map_size=60)
+XPBD = cg.Fidelity(map_size=60)
+RUNS = {
+    "sheet": (sheet, XPBD, 30, 30),
+    "limp": (lambda: sheet(stretch=100.0, shear=10.0, thickness=0.02), XPBD, 30, 20),
+    "long steps": (lambda: dataclasses.replace(sheet(stretch=300.0), step=0.05), XPBD, 15, 10),
+    "euler": (sheet, EULER, 6, 6),
+    "wind and grippers": (held, XPBD, 15, 10),
+    "ball": (above_ball, XPBD, 12, 3),
+    "ball, euler": (above_ball, dataclasses.replace(EULER, untangling="none"), 3, 3),
+    "two": (two_apart, XPBD, 20, 3),
+    "drop": (lambda: cg.scenes.make("drop", resolution=8, height=0.1), XPBD, 30, 5),
+    "layers": (lambda: cg.scenes.make("layers", vertices=7), XPBD, 4, 0),
+    "squares": (lambda: cg.scenes.make("squares", count=3), XPBD, 6, 0),
+    "no stage for hits": (sheet, dataclasses.replace(XPBD, untangling="none", contacts_near_hits="keep"), 10, 10),
+}
+"""Scene, fidelity, steps, and how many of them at least are decided."""
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_the_check_changes_no_bit(name):
+    """Where nothing can touch, the search finds no contact: state hashes are equal after every step."""
+    make, fidelity, steps, least = RUNS[name]
+    one, two = (cg.Simulation(make(), dataclasses.replace(fidelity, flat_check=flag)) for flag in (True, False))
+    for sim in (one, two):
+        if name == "wind and grippers":
+            sim.place_grip(0, sim.positions[-1])
+            sim.grasp(0)
+            sim.move_grip(0, (0.1, 0.3, -0.2))
+    decided = 0
+    for step in range(steps):
+        one.step()
+        two.step()
+        assert one.state_hash() == two.state_hash(), f"after step {step}, {decided} decided"
+        decided = one.metrics()["work"].get("decided_flat", 0)
+    assert decided >= least
+    assert "decided_flat" not in two.metrics()["work"]
+
+
+def test_runs_meet_every_way_out():
+    """Contacts after a decided step, a tube that is left within a step, and a step that is decided as a whole."""
+    sim = cg.Simulation(RUNS["drop"][0](), XPBD)
+    left = whole = searched = 0
+    for _ in range(25):
+        before = dict(sim.metrics()["work"])
+        sim.step()
+        after = sim.metrics()["work"]
+        gained = {name: after[name] - before.get(name, 0) for name in after}
+        flat, again = gained.get("decided_flat", 0) > 0, gained.get("rebuilds", 0) > 0
+        whole += flat and not again
+        left += flat and again
+        searched += not flat
+    assert whole and left and searched
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_step_of_a_violent_run_crosses(seed):
+    """Sheets thrown about and wrung, one substep a step: the straight way of every decided one is free of collisions."""
+    rng = np.random.default_rng(seed)
+    mesh = cg.grid(0.3, 0.3, 4, 3)
+    material = cg.Material(stretch=100.0, shear=5.0, damping=0.0)
+    cloths = [cg.Cloth(mesh.transformed(translation=(0, 0.1 * k, 0)), material, name=f"sheet {k}") for k in range(2)]
+    sim = cg.Simulation(cg.Scene(cloths, step=0.005), dataclasses.replace(XPBD, substeps=1, untangling="none"))
+    quads = naive_mechanics.all_quads(sim.model.faces)
+    decided = 0
+    for round_ in range(12):
+        common = np.repeat(rng.normal(0, 5, (2, 3)), len(mesh.vertices), axis=0)
+        sim.reset()
+        sim.set_velocities(common + rng.normal(0, [0.5, 2.0, 6.0][round_ % 3], sim.positions.shape))
+        for _ in range(5):
+            x, before = sim.positions.copy(), sim.metrics()["work"].get("rebuilds", 0)
+            flat = sim.metrics()["work"].get("decided_flat", 0)
+            sim.step()
+            work = sim.metrics()["work"]
+            if work.get("decided_flat", 0) > flat and work.get("rebuilds", 0) == before:
+                decided += 1
+                assert naive_mechanics.collisions(x, sim.positions, sim.model.faces, quads=quads) == []
+    assert 5 < decided < 60
+
+
+def test_a_decided_step_searches_nothing():
+    sim = cg.Simulation(sheet(), XPBD)
+    tree = sim.pipeline.stages[0].candidates.tree
+    sim.step(3)
+    assert tree.box_tests == 0
+    work = sim.metrics()["work"]
+    assert (
+        work["decided_flat"] == 3
+        and work["box_pairs"] == work["primitive_pairs"] == work["hits"] == work["contacts"] == 0
+    )
+
+
+def test_no_decision_survives():
+    """After reset, restore, a copy and a jump of the positions, everything is decided anew."""
+    sim = cg.Simulation(RUNS["long steps"][0](), XPBD)
+    fresh = cg.Simulation(RUNS["long steps"][0](), XPBD)
+    sim.step(7)
+    early = sim.snapshot()
+    sim.step(5)
+    late = sim.state_hash()
+    sim.restore(early)
+    twin = copy.deepcopy(sim)
+    sim.step(5)
+    twin.step(5)
+    assert sim.state_hash() == twin.state_hash() == late
+    sim.reset()
+    sim.step(12)
+    fresh.step(12)
+    assert sim.state_hash() == fresh.state_hash() == late
+    flat = sim.scene.start
+    folded = np.where(flat[:, 2:] > 0, flat * [1, 1, -1] + [0, 0.05, 0], flat)
+    other = cg.Simulation(sim.scene, dataclasses.replace(XPBD, flat_check=False))
+    for run in (sim, other):
+        run.reset()
+        run.set_positions(folded)
+        run.step(3)
+    assert sim.state_hash() == other.state_hash()
+    assert "decided_flat" not in sim.metrics()["work"]
+
+
+def test_the_switch():
+    assert cg.Fidelity().flat_check and not cg.Fidelity.from_json(cg.Fidelity(flat_check=False).to_json()).flat_check
+    with pytest.raises(ValueError, match=r"fidelity\.flat_check = 1: expected True or False"):
+        cg.Fidelity(flat_check=1)
+    for fidelity in (cg.Fidelity(flat_check=False), cg.Fidelity(detection="brute_force")):
+        assert cg.Simulation(sheet(), fidelity).pipeline.stages[0].candidates.sheets is None

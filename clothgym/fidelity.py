@@ -11,6 +11,8 @@ from typing import Any
 from clothgym.arrays import check_choice, check_number
 
 INTEGRATORS = ("xpbd", "symplectic_euler")
+MEMBRANES = ("springs", "continuum")
+BENDINGS = ("flexion", "hinge", "quadratic", "none")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
 DETECTIONS = ("hierarchy", "brute_force", "mezger")
 INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
@@ -21,10 +23,13 @@ BODY_NORMALS = ("face", "interpolated")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
+PRECISIONS = ("float64", "float32")
 
 _RANGES = {
     "substeps": (0, 100_000, True),
     "sweeps": (1, 10_000, True),
+    "contact_substeps": (1, 100_000, True),
+    "stretch_error": (1e-5, 10.0, False),
     "stretch_limit": (0.0, 10.0, False),
     "close_angle": (0.0, math.pi, False),
     "leaf_angle": (0.0, math.pi, False),
@@ -64,8 +69,18 @@ class Fidelity:
 
     Attributes:
         integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
-        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler asks for (XPBD: 8).
-        sweeps: Gauss-Seidel sweeps over springs and contacts a substep.
+        membrane: what resists stretch and shear: "springs" as the paper, or a "continuum" of triangles with the moduli of the
+            material along weft and warp, whose stiffness does not depend on the mesh.
+        bending: "flexion" springs as the paper, which have no linear bending stiffness; "hinge" angles with the material's
+            bending rigidity; "quadratic" in the positions, cheaper, for cloth that is flat at rest; or "none".
+        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler, or the promise of XPBD, asks for.
+        sweeps: Gauss-Seidel sweeps over springs and contacts a substep; with contact and substeps = 0 the least number of
+            them, without contact chosen with the substeps.
+        stretch_error: the promise of XPBD, where substeps = 0: no spring between neighbours gets longer than in the
+            converged solution of the same material by more than this share of its length (see `promise`).
+        contact_substeps: of XPBD in scenes with contact, where substeps = 0; the promise then chooses the sweeps.
+        precision: "float64", or "float32" for springs in scenes where cloth touches no cloth and no body: faster, and as
+            good where the motion is not chaotic; positions and velocities stay float64 between steps.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
         stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
         detection: "hierarchy" (k-DOP tree of clusters, the fastest), "brute_force" (every pair), or "mezger": the tree of
@@ -119,8 +134,13 @@ class Fidelity:
     """
 
     integrator: str = "xpbd"
-    substeps: int = 8
+    membrane: str = "springs"
+    bending: str = "flexion"
+    substeps: int = 0
     sweeps: int = 8
+    stretch_error: float = 0.03
+    contact_substeps: int = 8
+    precision: str = "float64"
     velocity_modification: str = "none"
     stretch_limit: float = 0.1
     detection: str = "hierarchy"
@@ -157,6 +177,9 @@ class Fidelity:
 
     def __post_init__(self) -> None:
         check_choice(self.integrator, "fidelity.integrator", INTEGRATORS)
+        check_choice(self.membrane, "fidelity.membrane", MEMBRANES)
+        check_choice(self.bending, "fidelity.bending", BENDINGS)
+        check_choice(self.precision, "fidelity.precision", PRECISIONS)
         check_choice(self.velocity_modification, "fidelity.velocity_modification", VELOCITY_MODIFICATIONS)
         check_choice(self.detection, "fidelity.detection", DETECTIONS)
         check_choice(self.inflation, "fidelity.inflation", INFLATIONS)
@@ -189,6 +212,11 @@ class Fidelity:
                 raise ValueError(
                     f"fidelity.{field} = {getattr(self, field)!r}: works with {other} {' or '.join(map(repr, values))} only"
                 )
+        if self.velocity_modification != "none" and self.membrane != "springs":
+            raise ValueError(
+                f"fidelity.velocity_modification = {self.velocity_modification!r}: acts on springs; membrane = "
+                f"{self.membrane!r} has none"
+            )
 
     @staticmethod
     def preset(name: str) -> Fidelity:
@@ -200,6 +228,28 @@ class Fidelity:
         if name not in PRESETS:
             raise ValueError(f"fidelity = {name!r}: expected one of {', '.join(PRESETS)}, or a Fidelity")
         return PRESETS[name]
+
+    @staticmethod
+    def for_error(scene: Any, stretch: float) -> Fidelity:
+        """The cheapest preset for a scene, with a promise of its own: how much longer than in the converged solution of the
+        same material any spring between neighbours may get.
+
+        How much work that takes is chosen when the scene is assembled; `Simulation.pipeline.describe()` tells.
+
+        Args:
+            scene: a `Scene`.
+            stretch: share of the length, 1e-5 to 10; the presets promise 0.1, 0.03 and 0.005.
+
+        Raises:
+            ValueError: no scene, or a stretch out of range.
+        """
+        if not hasattr(scene, "cloths"):
+            raise ValueError(f"for_error: scene = {scene!r:.80}: expected a Scene")
+        low, high, _ = _RANGES["stretch_error"]
+        stretch = check_number(stretch, "for_error: stretch", low, high)
+        able = [p for p in PRESETS.values() if p.stretch_error <= stretch]
+        base = max(able, key=lambda p: p.stretch_error) if able else PRESETS["accurate"]
+        return dataclasses.replace(base, stretch_error=stretch)
 
     def to_json(self) -> str:
         """One JSON object with every field."""
@@ -217,9 +267,9 @@ class Fidelity:
 
 
 PRESETS: dict[str, Fidelity] = {
-    "draft": Fidelity(substeps=4, sweeps=4, body_faces=1),
+    "draft": Fidelity(stretch_error=0.1, contact_substeps=4, sweeps=4, body_faces=1),
     "balanced": Fidelity(),
-    "accurate": Fidelity(substeps=16, sweeps=8, body_faces=4, map_size=720, continuous=True),
+    "accurate": Fidelity(stretch_error=0.005, contact_substeps=16, body_faces=4, map_size=720, continuous=True),
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clothgym.arrays import FloatArray
+from clothgym.kernels.elastic import elastic_energy
 from clothgym.model import ClothModel
 
 
@@ -22,9 +23,7 @@ def kinetic_energy(model: ClothModel, v: FloatArray) -> float:
 
 
 def potential_energy(model: ClothModel, x: FloatArray) -> float:
-    """Gravity and springs [J]; zero for the unstrained cloth at the origin."""
+    """Gravity, springs, membrane and bending [J]; zero for the unstrained cloth at the origin."""
     gravity = np.asarray(model.scene.gravity)
     free = model.inverse_masses > 0
-    lengths = np.linalg.norm(x[model.spring_ends[:, 1]] - x[model.spring_ends[:, 0]], axis=1)
-    springs = 0.5 * (model.spring_stiffness * (lengths - model.spring_rest) ** 2).sum()
-    return float(springs - (model.masses[free] * (x[free] @ gravity)).sum())
+    return float(sum(elastic_energy(x, model.arrays)) - (model.masses[free] * (x[free] @ gravity)).sum())

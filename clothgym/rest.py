@@ -72,10 +72,10 @@ class RestShape:
         if self.places is not None:
             return unique, self.pair_lengths(unique)
         first, second, ends = first[index], second[index], ends[index]
-        one, two_ = (self._laid_out(surface, faces, ends) for faces in (first, second))
+        one, two_ = (self.laid_out(surface, faces, ends) for faces in (first, second))
         return unique, np.hypot(one[:, 0] - two_[:, 0], one[:, 1] + two_[:, 1])
 
-    def _laid_out(self, surface: Surface, faces: IntArray, ends: IntArray) -> FloatArray:
+    def laid_out(self, surface: Surface, faces: IntArray, ends: IntArray) -> FloatArray:
         """(N, 2): of each face the corner that is not on its edge, along the edge from its middle, and above it [m]."""
         ids, corners = surface.faces[faces], self.corners[surface.face_ids[faces]]
         rows = np.arange(len(faces))

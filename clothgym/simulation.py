@@ -37,7 +37,7 @@ class Simulation:
     def __init__(self, scene: Scene, fidelity: str | Fidelity = "balanced") -> None:
         self.scene = scene
         self.fidelity = fidelities.get(fidelity)
-        self.model = ClothModel(scene)
+        self.model = ClothModel(scene, self.fidelity)
         self.pipeline: Pipeline = assemble(self.model, self.fidelity)
         self.reset()
 
@@ -312,7 +312,7 @@ class Simulation:
         old, old_scene, old_ranges = self._state, self.scene, self.model.ranges
         grip_forces, passes, work = self._grip_forces.copy(), self._frame.untangling_passes, dict(self._frame.work)
         slices = {id(cloth): vertices for cloth, (_, vertices, _) in zip(old_scene.cloths, old_ranges)}
-        self.scene, self.model = scene, ClothModel(scene)
+        self.scene, self.model = scene, ClothModel(scene, self.fidelity)
         self.pipeline = assemble(self.model, self.fidelity)
         for kept in ("_looking_tree", "_body_mesh"):  # made for the old scene
             self.__dict__.pop(kept, None)

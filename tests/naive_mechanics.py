@@ -150,3 +150,59 @@ def collisions(x, p, faces, touching=1e-10, quads=None):
                 if distance <= touching:
                     found.append((kind, tuple(int(v) for v in quad), float(time)))
     return found
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# XPBD, one spring after the other
+
+
+def xpbd(x, v, ends, rests, stiffness, w, motion, substeps, grips, radii, ground, friction):
+    """x, v after substeps of XPBD [Macklin 2016, eq. 18]: springs in the order given, then grips, then the ground."""
+    dt = motion.dt
+    kept = 1.0 / (1.0 + motion.damping * dt)
+    fall = np.array([motion.gravity + (motion.external[i] if len(motion.external) else 0.0) for i in range(len(x))])
+    fall = dt * dt * fall * (w > 0)[:, None]
+    p = x + np.where((w > 0)[:, None], kept * dt * v + fall, 0.0)
+    begin = x.copy()
+    for n in range(substeps):
+        if n > 0:
+            way = kept * (p - begin) + fall
+            begin = p.copy()
+            p = p + way
+        multipliers = np.zeros(len(ends))
+        grips.multipliers[:] = 0.0
+        for _ in range(motion.sweeps):
+            for s, (i, j) in enumerate(ends):
+                if w[i] + w[j] == 0.0:
+                    continue
+                alpha = 1.0 / (stiffness[s] * dt * dt)
+                d = p[j] - p[i]
+                size = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+                change = (size - rests[s] - alpha * multipliers[s]) * (1.0 / (w[i] + w[j] + alpha))
+                multipliers[s] += change
+                pull = (change / size) * d
+                p[i] += w[i] * pull
+                p[j] -= w[j] * pull
+            for a, i in enumerate(grips.vertices):
+                if w[i] > 0.0:
+                    alpha = 1.0 / (grips.stiffness[a] * dt * dt)
+                    target = grips.targets[a] + ((n + 1) * dt) * grips.velocities[a]
+                    change = (target - p[i] - alpha * grips.multipliers[a]) / (w[i] + alpha)
+                    p[i] -= w[i] * grips.multipliers[a]
+                    total = grips.multipliers[a] + change
+                    size = np.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
+                    limit = grips.force_limit[a] * dt * dt
+                    grips.multipliers[a] = total * (limit / size if size > limit else 1.0)
+                    p[i] += w[i] * grips.multipliers[a]
+            for i in range(len(p)):
+                depth = ground + radii[i] - p[i, 1]
+                if depth > 0.0 and w[i] > 0.0:
+                    p[i, 1] += depth
+                    slide = p[i] - begin[i]
+                    far = np.sqrt(slide[0] * slide[0] + slide[2] * slide[2])
+                    if far > 0.0:
+                        keep = max(0.0, 1.0 - friction * depth / far)
+                        p[i, 0] = begin[i, 0] + keep * slide[0]
+                        p[i, 2] = begin[i, 2] + keep * slide[2]
+        grips.forces[:] += grips.multipliers / (dt * dt)
+    return p, (p - begin) / dt

@@ -23,11 +23,11 @@ FLOORS = {
     0: ("_jit", "arrays", "errors"),
     1: ("kernels",),
     2: (
-        *("materials", "fidelity", "state", "mesh", "rest", "rig", "torso", "body", "assets"),
+        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "torso", "body", "assets"),
         *("pattern", "garmentcode", "panel_mesh", "garment"),
     ),
     3: ("scene",),
-    4: ("model",),
+    4: ("model", "elastic", "bending", "promise"),
     5: ("detection",),
     6: ("response", "metrics"),
     7: ("stages", "pipeline"),
@@ -329,14 +329,14 @@ from clothgym import _jit
 def compiled():
     return sorted(k.py_func.__name__ for k in _jit.kernels if k.signatures)
 imported = [compiled(), sorted(sys.modules)]
-cg.Simulation(cg.scenes.make("hanging_sheet", resolution=4)).step()
+cg.Simulation(cg.scenes.make("hanging_sheet", resolution=16)).step()
 one = compiled()
 cg.Simulation(cg.scenes.make("pile", count=2), cg.Fidelity(untangling="none", contacts_near_hits="keep")).step()
 print(json.dumps([*imported, one, compiled()]))
 """
     at_import, modules, sheet, pile = in_child(code)
     assert at_import == []
-    assert sheet == ["xpbd_substeps"]
+    assert sheet == ["colour_springs", "xpbd_substeps_in_runs"]
     assert "xpbd_predict" in pile and "solve" in pile
     assert not {"find_hits", "distribute", "cut_regions", "wind_acceleration", "euler_predict"} & set(pile)
     for module in ("rerun", "matplotlib", "gymnasium", "torch", "stable_baselines3", "rich", "typer", "ray"):

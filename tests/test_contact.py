@@ -12,6 +12,7 @@ import pytest
 import clothgym as cg
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
+from clothgym.detection.mezger import MezgerHierarchy
 from clothgym.kernels import certificate
 from clothgym.kernels import contact as kernels
 from clothgym.kernels.integrate import Grips, Ground, Motion
@@ -230,7 +231,10 @@ def test_trees_differ_only_in_what_they_reject():
     model = ClothModel(scene)
     x, travel = scene.start + rng.normal(0, 0.01, scene.start.shape), rng.normal(0, 0.03, scene.start.shape)
     results = []
-    for tree in (Hierarchy(model.surface, x, 6, 2), Hierarchy(model.surface, x, 26, 8), BruteForce(model.surface, x)):
+    paper = MezgerHierarchy(model.surface, x, cg.Fidelity(detection="mezger", k=6, arity=2))
+    for tree in (
+        Hierarchy(model.surface, x, 6, 2), Hierarchy(model.surface, x, 26, 8), BruteForce(model.surface, x), paper,
+    ):  # fmt: skip
         candidates = Candidates(model, tree)
         candidates.quads = np.zeros((3, 4), np.int32)  # far too small: grows by counting
         candidates.kinds = np.zeros(3, np.uint8)
@@ -239,7 +243,7 @@ def test_trees_differ_only_in_what_they_reject():
         results.append(listed(candidates))
         assert candidates.count > 100
         assert len(candidates.separation) >= candidates.count
-    assert results[0] == results[2], "boxes along the axes reject what the primitives' own boxes reject"
+    assert results[1] == results[2] == results[3], "boxes on all axes reject what the primitives' own boxes reject"
     assert results[1] < results[0]
 
 

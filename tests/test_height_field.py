@@ -9,6 +9,7 @@ from naive_separation import Pairs
 
 import clothgym as cg
 from clothgym.detection.height_field import HeightFields
+from clothgym.kernels import height_field as kernels
 
 REACH = 0.02
 
@@ -273,6 +274,55 @@ def test_the_gap_of_an_outline_counts_outside_too():
         angle, radius = -(2 * np.pi - gap / 0.5) * u, 0.5 + 0.2 * v
         x = np.stack([radius * np.cos(angle), 0 * u, radius * np.sin(angle)], axis=1)
         assert stated(x, faces, reach=0.02) == expected, gap
+
+
+def test_two_loops_that_run_the_same_way_are_two_layers():
+    """A sheet and a smaller one on it, cut open along a line and sewn crosswise: all faces up, both outlines simple."""
+    big, small = lattice(8, 8), lattice(4, 4)
+    points = {}
+    faces = []
+    for layer, (u, v, cells) in enumerate((big, small)):
+        size, corner = (8, 0) if layer == 0 else (4, 2)
+        column, row = np.round(u * size).astype(int) + corner, np.round(v * size).astype(int) + corner
+        for face in cells:
+            above = row[face].mean() > 4
+            for i in face:
+                at, copied = (int(column[i]), int(row[i])), layer
+                if at in ((3, 4), (5, 4)):
+                    copied = 0  # both ends of the cut belong to both
+                elif at == (4, 4):
+                    copied = layer if above else 1 - layer
+                faces.append(points.setdefault((at, copied), len(points)))
+    faces = np.array(faces).reshape(-1, 3)
+    x = np.array([[at[0] / 8, 0.0, at[1] / 8] for at, _ in points])
+    fields = HeightFields(cg.Surface(faces, len(x)), np.full(len(x), REACH))
+    assert fields.possible and len(np.unique(fields.sheets.loop)) == 2
+    assert Pairs(faces, len(x)).distance(x) == 0.0
+    assert not fields.decide(x, np.zeros_like(x))
+
+
+def test_the_least_width_holds_at_all_times():
+    """Triangles on straight ways, some of which turn over and back: sampled altitudes are never below what was found."""
+    rng = np.random.default_rng(0)
+    x = np.array([[0.0, 0, 0], [0, 0, 1], [1, 0, 0]])
+    sheets = HeightFields(cg.Surface([[0, 1, 2]], 3), np.full(3, REACH)).sheets
+    between = positive = 0
+    for _ in range(400):
+        ways = np.concatenate(
+            [x[:, [2, 0]] + rng.normal(0, 0.3, (3, 2)), rng.normal(0, rng.choice([0, 0.3, 1]), (3, 2))], 1
+        )
+        found = kernels._least_width(sheets, 0, ways)
+        widths = []
+        for share in np.linspace(0, 1, 41):
+            a, b, c = ways[:, :2] + share * ways[:, 2:]
+            area = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
+            widths.append(area / max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c)))
+        assert found <= max(0.0, min(widths) * (1 + 1e-12) + 1e-15)
+        positive += found > 0
+        between += min(widths) < 0.8 * min(widths[0], widths[-1])
+        if not ways[:, 2:].any():
+            assert found == pytest.approx(max(0.0, widths[0]))
+    assert positive > 100 and between > 20
 
 
 def test_a_loop_of_three_edges_cannot_fold_onto_itself():

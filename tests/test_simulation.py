@@ -535,16 +535,26 @@ def bent() -> cg.Scene:
     return cg.Scene([cg.Cloth(cg.Mesh(start, flat.faces, flat.quads), SOFT, rest=flat.vertices)], step=0.01)
 
 
+def hanging():
+    return cg.scenes.make("hanging_sheet", resolution=16)
+
+
 EULER = cg.Fidelity(integrator="symplectic_euler", substeps=0)
 SEARCH = dataclasses.replace(CONTACT, flat_check=False)
 GLOBAL = cg.Fidelity(untangling="global", untangling_passes=1, substeps=4)
 STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_limit=0.0)
 MEZGER = dataclasses.replace(CONTACT, detection="mezger")
 CURVATURE = dataclasses.replace(MEZGER, cones="mezger")
+CHOSEN = cg.Fidelity()
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
+    "membrane": (pile, CONTACT, "continuum", 0, "state"),
+    "bending": (pile, CONTACT, "hinge", 0, "state"),
     "substeps": (pile, CONTACT, 6, 0, "state"),
     "sweeps": (pile, CONTACT, 6, 0, "state"),
+    "contact_substeps": (pile, dataclasses.replace(CONTACT, substeps=0), 6, 0, "state"),
+    "stretch_error": (hanging, CHOSEN, 0.05, 0, "state"),
+    "precision": (hanging, CHOSEN, "float32", 0, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),

@@ -109,10 +109,29 @@ def _sheet() -> None:
     import clothgym as cg
 
     scene = cg.scenes.make("hanging_sheet", resolution=6)
-    _steps(scene, "draft")
+    draft = cg.Fidelity.preset("draft")
+    _steps(scene, draft)
+    _steps(scene, dataclasses.replace(draft, precision="float32"))
+    vertices, faces = _crossing_sheets()
+    _steps(cg.Scene([cg.Cloth((vertices, faces))], self_collision=False), draft)
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     for modification in ("none", "literal", "relative"):
         _steps(scene, dataclasses.replace(euler, velocity_modification=modification))
+
+
+def _energies() -> None:
+    import clothgym as cg
+    from clothgym.kernels import bending, elastic, membrane
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    for kind in ("hinge", "quadratic"):
+        fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), membrane="continuum", bending=kind)
+        x, arrays = scene.start, cg.Simulation(scene, fidelity).model.arrays
+        elastic.elastic_forces(x, arrays, np.zeros_like(x))
+        elastic.spring_hessian(x, arrays, np.zeros((len(arrays.spring_ends), 2, 2, 3, 3)))
+        membrane.membrane_hessian(x, arrays, np.zeros((len(arrays.membrane.faces), 3, 3, 3, 3)))
+        bending.hinge_hessian(x, arrays, np.zeros((len(arrays.hinges.stencils), 12, 12, 3, 3)))
+        bending.quadratic_hessian(arrays, np.zeros((len(arrays.quadratic.stencils), 12, 12, 3, 3)))
 
 
 def _contact() -> None:
@@ -211,6 +230,7 @@ def _pictures() -> None:
 PARTS: dict[str, Callable[[], None]] = {
     "geometry": _geometry,
     "sheet": _sheet,
+    "energies": _energies,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,
     "sides": _sides,

@@ -8,6 +8,8 @@ from typing import NamedTuple
 from numpy.typing import NDArray
 
 from clothgym._jit import device
+from clothgym.kernels.bending import NO_HINGES, NO_QUADRATIC, HingeArrays, QuadraticArrays
+from clothgym.kernels.membrane import NO_MEMBRANE, MembraneArrays
 
 
 class ClothArrays(NamedTuple):
@@ -17,6 +19,9 @@ class ClothArrays(NamedTuple):
     spring_ends: NDArray  # (S, 2) int32
     spring_rest: NDArray  # (S,) [m]
     spring_stiffness: NDArray  # (S,) [N/m]
+    membrane: MembraneArrays = NO_MEMBRANE
+    hinges: HingeArrays = NO_HINGES
+    quadratic: QuadraticArrays = NO_QUADRATIC
 
 
 @device

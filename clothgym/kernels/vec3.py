@@ -42,3 +42,16 @@ def triangle_normal(x, a, b, c):
     wz = x[c, 2] - x[a, 2]
     nx, ny, nz = cross(ux, uy, uz, wx, wy, wz)
     return unit(nx, ny, nz)
+
+
+@device
+def solve3(a00, a01, a02, a10, a11, a12, a20, a21, a22, b0, b1, b2):
+    """Three linear equations a z = b by Cramer's rule; the caller makes sure that a is regular."""
+    c0 = a11 * a22 - a12 * a21
+    c1 = a12 * a20 - a10 * a22
+    c2 = a10 * a21 - a11 * a20
+    scale = 1.0 / (a00 * c0 + a01 * c1 + a02 * c2)
+    z0 = b0 * c0 + b1 * (a02 * a21 - a01 * a22) + b2 * (a01 * a12 - a02 * a11)
+    z1 = b0 * c1 + b1 * (a00 * a22 - a02 * a20) + b2 * (a02 * a10 - a00 * a12)
+    z2 = b0 * c2 + b1 * (a01 * a20 - a00 * a21) + b2 * (a00 * a11 - a01 * a10)
+    return z0 * scale, z1 * scale, z2 * scale

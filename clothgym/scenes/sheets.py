@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from clothgym.materials import Material
@@ -42,7 +44,7 @@ def drop(resolution: int = 16, height: float = 0.6) -> Scene:
     upright[:, 2] = bulge + 0.05 / resolution * rng.uniform(-1.0, 1.0, len(upright))
     upright[:, 1] += height + np.sqrt(0.5)
     material = Material(density=0.15, stretch=1e4, shear=1e3, flexion=1e-2, damping=0.5)
-    material = Material(**{**material.to_json(), "thickness": 0.1 / resolution})
+    material = dataclasses.replace(material, thickness=0.1 / resolution)
     cloth = Cloth(Mesh(upright, mesh.faces, mesh.quads), material, (), mesh.vertices, "sheet")
     return Scene((cloth,), ground=0.0, duration=3.0, name="drop")
 

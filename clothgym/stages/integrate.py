@@ -20,7 +20,7 @@ class Step:
         scene = model.scene
         self.integrator = integrators.get(model, fidelity)
         self.substeps = self.integrator.substeps
-        self.sweeps = fidelity.sweeps
+        self.sweeps = self.integrator.sweeps
         self.dt = scene.step / self.substeps
         self.limit = fidelity.stretch_limit if fidelity.velocity_modification != "none" else -1.0
         self.relative = fidelity.velocity_modification == "relative"
@@ -29,8 +29,10 @@ class Step:
         self.ground = Ground(-np.inf if scene.ground is None else float(scene.ground), model.friction)
         self.radii = 0.5 * model.thickness
         # without contact, only what is projected needs sweeps
-        shown = fidelity.sweeps if scene.self_collision or self.integrator.in_sweeps else 1
+        shown = self.sweeps if scene.self_collision or self.integrator.in_sweeps else 1
         self.label = f"{fidelity.integrator} {self.substeps}x{shown}"
+        if self.integrator.remark:
+            self.label += f" for {self.integrator.remark}"
         if self.limit >= 0:
             self.label += f", velocity modification {fidelity.velocity_modification} above {self.limit:g}"
 

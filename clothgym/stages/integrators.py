@@ -24,6 +24,8 @@ class Integrator:
 
     Attributes:
         substeps: how many a step has.
+        sweeps: how many a substep has, over contacts and what is projected.
+        remark: for what the numbers were chosen, if they were.
         in_sweeps: whether the cloth's own forces are constraints, projected in every sweep of contact, and not in p yet.
         multipliers: (C,) of those constraints [N s^2]; (0,) without.
     """
@@ -31,6 +33,7 @@ class Integrator:
     in_sweeps = False
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        self.sweeps, self.remark = fidelity.sweeps, ""
         self.substeps = self._substeps(model, fidelity)
         self.multipliers = np.zeros(0)
 
@@ -113,46 +116,14 @@ class SymplecticEuler(Integrator):
         )  # fmt: skip
 
 
-class Xpbd(Integrator):
-    """Springs as constraints with compliance, projected in sweeps [Macklin 2016, 2019]: stable at any step."""
-
-    in_sweeps = True
-
-    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
-        super().__init__(model, fidelity)
-        self.multipliers = np.zeros(len(model.spring_rest))
-
-    def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
-        return fidelity.substeps or 8
-
-    def predict(self, frame: Frame, motion: Motion) -> None:
-        state = frame.state
-        integrate.xpbd_predict(state.positions, state.velocities, frame.predicted, frame.model.arrays, motion)
-
-    def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:
-        state = frame.state
-        integrate.xpbd_substeps(
-            state.positions, state.velocities, frame.predicted, frame.model.arrays, radii, motion, ground, frame.grips,
-            self.multipliers, 0, self.substeps,
-        )  # fmt: skip
-
-    def run_on_body(
-        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
-    ) -> None:
-        from clothgym.kernels import body_contact
-
-        state = frame.state
-        body_contact.xpbd_substeps_on_body(
-            state.positions, state.velocities, frame.predicted, frame.model.arrays, radii, motion, ground, frame.grips,
-            self.multipliers, contact, self.substeps,
-        )  # fmt: skip
-
-
 def get(model: ClothModel, fidelity: Fidelity) -> Integrator:
     """The integrator that a fidelity names, for a model.
 
     Raises:
         ValueError: substeps of symplectic Euler longer than the safe time step; the message states the limit.
     """
-    kind = {"xpbd": Xpbd, "symplectic_euler": SymplecticEuler}[fidelity.integrator]
-    return kind(model, fidelity)
+    if fidelity.integrator == "xpbd":
+        from clothgym.stages.xpbd import Xpbd
+
+        return Xpbd(model, fidelity)
+    return SymplecticEuler(model, fidelity)

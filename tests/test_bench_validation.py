@@ -30,6 +30,7 @@ from clothgym.benchmarks.validation import (
     waves,
 )
 from clothgym.benchmarks.validation import solvers as solving
+from clothgym.fidelity import MEMBRANES
 from clothgym.mesh import face_areas
 from clothgym.scenes import validation as scenes
 
@@ -253,7 +254,7 @@ def test_flexion_springs_have_no_bending_stiffness_when_flat():
     assert found["quantities"][-1]["measured"] == pytest.approx(3.0, abs=0.01)
 
 
-@pytest.mark.parametrize("kind", [b for b in bending.STIFF if b in solving.bendings()])
+@pytest.mark.parametrize("kind", bending.STIFF)
 def test_bending_rigidity_is_the_materials(kind):
     met(bending.moment(kind, 24))
 
@@ -263,13 +264,23 @@ def test_flying_sheet_keeps_what_symplectic_euler_keeps():
     met(found)
     assert len(found["order"]["gaps"]) == len(found["order"]["steps"]) - 1
     met(flight.invariance("symplectic_euler", 1))
-    for membrane in solving.membranes():
+    for membrane in MEMBRANES:
         met(flight.stretch(membrane, 6))
 
 
-def test_what_this_version_lacks_is_told_not_faked():
-    with pytest.raises(solving.NotAvailable, match="bending 'origami'"):
-        solving.fidelity("xpbd", "origami") if "bending" not in solving._KNOWN else pytest.skip("all there")
+def test_what_a_solver_does_not_do_is_told_not_faked():
+    asked = {
+        "family": "cantilever",
+        "solver": "xpbd",
+        "bending": "origami",
+        "load": 1,
+        "rows": 6,
+        "columns": 1,
+        "grain": "0",
+    }
+    found = families.run(asked)
+    assert not found["available"] and found["quantities"] == []
+    assert "origami" in found["reason"]
 
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -338,10 +349,10 @@ def test_tables_tell_what_is_missed_and_what_is_lacking():
     turned = (("0", 1.0), ("45", 1.1), ("90", 1.2))
     rows += [_row("cantilever", h, 0.01, rows=32, columns=6, grain=grain, **cantilever) for grain, h in turned]
     lacking = _row("drape", 1.0, 0.1, bending="hinge")
-    lacking["result"] = {"available": False, "reason": "no bending 'hinge' in this version", "quantities": []}
+    lacking["result"] = {"available": False, "reason": "bending = 'hinge': not with this", "quantities": []}
     found = {table.title: table for table in shown.tables([*rows, lacking])}
     summary = found["Known answers, by solver"].rows[0]
     assert summary[:3] == ("xpbd, hinge", 12, 4) and "H / L" in summary[4] and "more" in summary[4]
     assert found["Refinement"].rows[0][-1] == pytest.approx(1.0)
     assert found["Anisotropy"].rows[0][2:] == pytest.approx((1.0, 1.1, 1.2, 1.1))
-    assert found["Not available"].rows == [("drape/xpbd/hinge", "no bending 'hinge' in this version")]
+    assert found["Not available"].rows == [("drape/xpbd/hinge", "bending = 'hinge': not with this")]

@@ -7,7 +7,6 @@ their answers.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -30,7 +29,6 @@ DISC, SPECIMEN = 0.09, 0.15
 CLEARANCE = 3e-3
 """Distance from a body at which sheets start [m]: the default of `Fidelity.body_tolerance`."""
 
-_FIELDS = {field.name for field in dataclasses.fields(Material)}
 Pins = NDArray[np.integer]
 
 
@@ -41,9 +39,8 @@ def fabric(modulus: float, columns: int, shear: float = 0.0, bending: float = 0.
     A border column of springs carries as much as an inner one, so n columns of cells have n + 1 columns of springs.
     """
     values: dict[str, float] = {"density": DENSITY, "flexion": 0.0, "damping": 0.0, "friction": 0.3}
-    values |= {"stretch": modulus * columns / (columns + 1), "shear": shear}
-    moduli = {"weft": modulus, "warp": modulus, "coupling": 0.0, "shear_modulus": shear, "bending": bending}
-    values |= {name: value for name, value in moduli.items() if name in _FIELDS}
+    values |= {"stretch": modulus * columns / (columns + 1), "shear": shear, "bending": bending}
+    values |= {"weft": modulus, "warp": modulus, "coupling": 0.0, "shear_modulus": shear}
     return Material(**(values | others))
 
 

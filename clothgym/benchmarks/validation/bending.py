@@ -11,7 +11,8 @@ import clothgym as cg
 from clothgym.arrays import FloatArray
 from clothgym.benchmarks.frame import Case
 from clothgym.benchmarks.validation import known, measure
-from clothgym.benchmarks.validation.solvers import IMPLICIT, bendings, membranes, simulate, solvers, split
+from clothgym.benchmarks.validation.solvers import IMPLICIT, simulate, solvers, split
+from clothgym.fidelity import MEMBRANES
 from clothgym.scenes import validation as scenes
 
 STIFF = ("hinge", "quadratic")
@@ -25,11 +26,10 @@ def cases(quick: bool) -> list[Case]:
     """Cantilevers of several loads, and M(kappa) of every bending energy."""
     loads = (10,) if quick else (1, 2, 5, 8, 10, 20, 50, 100)
     rows = 12 if quick else 32
-    stiff = [name for name in STIFF if name in bendings()] or ["hinge"]
     listed = []
-    for membrane in membranes():
+    for membrane in MEMBRANES:
         for number, solver in enumerate(solvers(membrane, plain=True)):
-            for bending in stiff[:1] if quick and number else stiff:
+            for bending in STIFF[:1] if quick and number else STIFF:
                 key = f"{bending}/{solver}"
                 shape = {"rows": rows, "columns": 2, "grain": "0"}
                 settings = {"family": "cantilever", "solver": solver, "bending": bending, **shape}
@@ -45,7 +45,7 @@ def cases(quick: bool) -> list[Case]:
                     Case(f"cantilever/10/{grain} degrees/{key}", {**settings, "load": 10, "grain": grain, "columns": 6})
                     for grain in ("0", "45", "90")
                 ]
-    for bending in ("flexion", *stiff):
+    for bending in ("flexion", *STIFF):
         listed += [Case(f"moment/{bending}", {"family": "moment", "bending": bending, "rows": 24})]
     return listed
 
@@ -81,7 +81,7 @@ def bent_strip(bending: str, rows: int, columns: int, length: float = 0.24) -> t
     else:
         material = scenes.fabric(1.0, columns, 0.5, RIGIDITY)
     scene = cg.Scene([cg.Cloth(mesh, material)], gravity=(0.0, 0.0, 0.0), self_collision=False)
-    solver = "xpbd" if "continuum" not in membranes() or bending == "flexion" else "xpbd+continuum"
+    solver = "xpbd" if "continuum" not in MEMBRANES or bending == "flexion" else "xpbd+continuum"
     return simulate(scene, solver, 1e-3, 1e-3, bending), mesh
 
 

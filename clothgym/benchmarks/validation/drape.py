@@ -14,7 +14,8 @@ from clothgym.arrays import FloatArray, IntArray
 from clothgym.benchmarks.frame import Case
 from clothgym.benchmarks.validation import bending as bends
 from clothgym.benchmarks.validation import measure
-from clothgym.benchmarks.validation.solvers import IMPLICIT, bendings, membranes, simulate, solvers, split
+from clothgym.benchmarks.validation.solvers import IMPLICIT, simulate, solvers, split
+from clothgym.fidelity import MEMBRANES
 from clothgym.scenes import validation as scenes
 
 _PIXEL = 2.5e-4
@@ -27,13 +28,12 @@ def cases(quick: bool) -> list[Case]:
     """Drapes from limp to stiff, and one strip on edge, for every stiff bending energy and membrane."""
     lengths = (0.02, 0.05) if quick else (0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
     vertices = 150 if quick else 1000
-    stiff = [name for name in bends.STIFF if name in bendings()] or ["hinge"]
     listed = []
-    for membrane in membranes()[-1:] if quick else membranes():
+    for membrane in MEMBRANES[-1:] if quick else MEMBRANES:
         # all integrators share their rest: the one that is there soonest
         names = solvers(membrane, plain=True)
         solver = next((name for name in names if split(name)[:2] == ("implicit_euler", "")), names[0])
-        for bending in stiff[:1] if quick else stiff:
+        for bending in bends.STIFF[:1] if quick else bends.STIFF:
             settings = {"solver": solver, "bending": bending}
             listed += [
                 Case(

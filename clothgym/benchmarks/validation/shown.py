@@ -36,6 +36,7 @@ _TITLES = {
     "moment": "V12 moment of bending energies",
     "bounce": "V13 rebound",
 }
+_MARKS = ("o", "s", "^", "D", "v", "P", "x", "+", "*")
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:pink", "tab:cyan")
 
 
@@ -199,14 +200,19 @@ def plots(rows: list[Row], folder: Path) -> list[Path]:
 def _curves(
     path: Path, curves: list[tuple[str, Any, Any, str]], labels: tuple[str, str, str], log: str = "xy"
 ) -> Path | None:
-    """Draws named (x, y) curves with a style each; None when there are none."""
+    """Draws named (x, y) curves: style ":" known, "-" measured, "" measured in points; None when there are none."""
     if not curves:
         return None
     plt = pyplot()
     figure, axes = plt.subplots(figsize=(8.0, 4.8), constrained_layout=True)
     for number, (name, x, y, style) in enumerate(curves):
-        colour = "0.5" if style == ":" else _COLOURS[number % len(_COLOURS)]
-        axes.plot(x, y, style, color=colour, label=name, markersize=5, lw=1.2)
+        if style == ":":
+            axes.plot(x, y, style, color="0.5", label=name, lw=1.2, zorder=1)
+            continue
+        # curves lie on each other: hollow marks of several shapes and sizes show all of them
+        mark, size = _MARKS[number % len(_MARKS)], 5.0 + 1.2 * (number % 6)
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.plot(x, y, ls=style or "none", marker=mark, color=colour, label=name, markersize=size, mfc="none", lw=0.9)
     if "x" in log:
         axes.set_xscale("log")
     if "y" in log:
@@ -229,7 +235,7 @@ def _columns(points: list[tuple[float, float]]) -> tuple[list[float], list[float
 
 def _plot_orders(rows: list[Row], folder: Path) -> Path | None:
     curves = [
-        (_solver(row), row["result"]["order"]["steps"], row["result"]["order"]["errors"], "o-")
+        (_solver(row), row["result"]["order"]["steps"], row["result"]["order"]["errors"], "-")
         for row in _of(rows, "oscillator")
     ]
     labels = ("Oscillator: error after 1.25 periods", "w dt", "error over amplitude")
@@ -244,10 +250,10 @@ def _plot_cantilever(rows: list[Row], folder: Path) -> Path | None:
             groups.setdefault(_solver(row), []).append((p["load"], row["result"]["quantities"][1]["measured"]))
     if not groups:
         return None
-    loads = np.geomspace(min(g[0][0] for g in groups.values()), max(max(g)[0] for g in groups.values()), 40)
+    loads = np.geomspace(1.0, 100.0, 40)
     master = [depth / reach for depth, reach in map(known.elastica, loads.tolist())]
     curves: list[tuple[str, Any, Any, str]] = [("elastica", loads, master, ":")]
-    curves += [(solver, *_columns(points), "x") for solver, points in groups.items()]
+    curves += [(solver, *_columns(points), "") for solver, points in groups.items()]
     labels = ("Cantilever under its own weight", "w L^3 / B", "depth over reach of the tip")
     return _curves(folder / "validation_cantilever.png", curves, labels)
 
@@ -256,7 +262,7 @@ def _plot_moment(rows: list[Row], folder: Path) -> Path | None:
     curves: list[tuple[str, Any, Any, str]] = []
     for row in _of(rows, "moment"):
         result = row["result"]
-        curves.append((_solver(row), result["curvatures"], result["moments"], "o"))
+        curves.append((_solver(row), result["curvatures"], result["moments"], ""))
         exact = [q["known"] for q in result["quantities"][: len(result["moments"])]]
         curves.append((f"{_solver(row)}, known", result["curvatures"], exact, ":"))
     labels = ("Moment of a strip, 2 cells of 1 cm across", "curvature [1/m]", "moment [N m]")
@@ -268,7 +274,7 @@ def _plot_drape(rows: list[Row], folder: Path) -> Path | None:
     for row in _of(rows, "drape"):
         point = (1e3 * row["parameters"]["bending_length"], row["result"]["coefficient"])
         groups.setdefault(_solver(row), []).append(point)
-    curves = [(solver, *_columns(points), "o-") for solver, points in groups.items()]
+    curves = [(solver, *_columns(points), "-") for solver, points in groups.items()]
     labels = ("Cusick drape, 30 cm specimen on an 18 cm disc", "bending length [mm]", "drape coefficient [%]")
     return _curves(folder / "validation_drape.png", curves, labels, log="")
 

@@ -7,8 +7,7 @@ import math
 from typing import Any
 
 import clothgym as cg
-from clothgym import fidelity as fidelities
-from clothgym.fidelity import INTEGRATORS, Fidelity
+from clothgym.fidelity import INTEGRATORS, MEMBRANES, Fidelity
 from clothgym.scene import Scene
 
 EXPLICIT = ("symplectic_euler", "runge_kutta")
@@ -26,24 +25,14 @@ _KNOWN = {field.name for field in dataclasses.fields(Fidelity)}
 
 
 class NotAvailable(Exception):
-    """What a case needs does not exist in this version; the message says what."""
-
-
-def membranes() -> tuple[str, ...]:
-    """Kinds of membrane that Fidelity knows; springs at least."""
-    return tuple(getattr(fidelities, "MEMBRANES", ("springs",)))
-
-
-def bendings() -> tuple[str, ...]:
-    """Bending energies that Fidelity knows; flexion springs at least."""
-    return tuple(name for name in getattr(fidelities, "BENDINGS", ("flexion",)) if name != "none")
+    """A solver that does not do what a case needs; the message says what."""
 
 
 def solvers(membrane: str | None = None, plain: bool = False) -> list[str]:
     """Names "integrator", "integrator:variant", with "+membrane" for all but springs, of all that Fidelity accepts; plain:
     none that only computes with less precision."""
     found = []
-    for kind in membranes() if membrane is None else (membrane,):
+    for kind in MEMBRANES if membrane is None else (membrane,):
         for integrator in INTEGRATORS:
             for variant in VARIANTS:
                 name = integrator + (f":{variant}" if variant else "") + ("" if kind == "springs" else f"+{kind}")
@@ -53,7 +42,7 @@ def solvers(membrane: str | None = None, plain: bool = False) -> list[str]:
                     continue
                 try:
                     fidelity(name)
-                except (ValueError, NotAvailable):
+                except NotAvailable:
                     continue
                 found.append(name)
     return found
@@ -70,19 +59,17 @@ def fidelity(solver: str, bending: str = "none", **fields: Any) -> Fidelity:
     """The settings of a solver; what it solves, it solves far below the errors that are looked for.
 
     Raises:
-        NotAvailable: Fidelity has no such membrane, bending energy or variant.
-        ValueError: a setting that it does not take.
+        NotAvailable: Fidelity does not take them together.
     """
     integrator, variant, membrane = split(solver)
     chosen: dict[str, Any] = {**_PLAIN, "integrator": integrator, "substeps": 0 if integrator in EXPLICIT else 8}
     if integrator in IMPLICIT:
         chosen |= {"time_order": 1, "tolerance": 1e-7}
-    wanted = {"membrane": membrane, "bending": bending, **VARIANTS[variant][1]}
-    for name, value in wanted.items():
-        if name not in _KNOWN and value not in ("springs", "none", "flexion"):
-            raise NotAvailable(f"no {name} {value!r} in this version")
-    chosen |= wanted | fields
-    return Fidelity(**{name: value for name, value in chosen.items() if name in _KNOWN})
+    chosen |= {"membrane": membrane, "bending": bending, **VARIANTS[variant][1], **fields}
+    try:
+        return Fidelity(**{name: value for name, value in chosen.items() if name in _KNOWN})
+    except ValueError as reason:
+        raise NotAvailable(str(reason)) from None
 
 
 def rounding(solver: str) -> float:

@@ -102,6 +102,11 @@ def joined(parts: list[Energies], offsets: list[int], inverse_masses: FloatArray
             all_of([e.quadratic.reach for e in parts]),
         ),
     )
+    arrays = arrays._replace(
+        has_membrane=True if len(arrays.membrane.faces) else None,
+        has_hinges=True if len(arrays.hinges.stencils) else None,
+        has_quadratic=True if len(arrays.quadratic.stencils) else None,
+    )
     return arrays, np.concatenate([e.springs.kinds for e in parts])[order]
 
 

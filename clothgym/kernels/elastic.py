@@ -1,6 +1,9 @@
 """All energies of a cloth together: energy, forces for explicit integration, XPBD projection for the sweeps, and the
 Hessian blocks of springs; those of the others are `membrane.membrane_hessian`, `bending.hinge_hessian` and
-`bending.quadratic_hessian`. An energy that a cloth does not have has arrays of length 0."""
+`bending.quadratic_hessian`.
+
+An energy that a cloth does not have has None for `present`, and arrays of length 0: numba leaves out what stands behind
+`if present is None: return`, so that a cloth of springs compiles springs only."""
 
 from __future__ import annotations
 
@@ -20,26 +23,88 @@ from clothgym.kernels.springs import add_spring_forces, project_springs
 
 
 @device
+def _add_membrane_forces(x, cloth, present, f):
+    if present is None:
+        return
+    add_membrane_forces(x, cloth.membrane, f)
+
+
+@device
+def _add_hinge_forces(x, cloth, present, f):
+    if present is None:
+        return
+    add_hinge_forces(x, cloth.hinges, f)
+
+
+@device
+def _add_quadratic_forces(x, cloth, present, f):
+    if present is None:
+        return
+    add_quadratic_forces(x, cloth.quadratic, f)
+
+
+@device
 def add_elastic_forces(x, cloth, f):
     """Adds the forces of all energies to f (V, 3) [N]."""
     add_spring_forces(x, cloth, f)
-    add_membrane_forces(x, cloth.membrane, f)
-    add_hinge_forces(x, cloth.hinges, f)
-    add_quadratic_forces(x, cloth.quadratic, f)
+    _add_membrane_forces(x, cloth, cloth.has_membrane, f)
+    _add_hinge_forces(x, cloth, cloth.has_hinges, f)
+    _add_quadratic_forces(x, cloth, cloth.has_quadratic, f)
+
+
+@device
+def _project_membrane(p, cloth, present, dt, multipliers, first):
+    if present is None:
+        return
+    project_membrane(p, cloth.membrane, cloth.inverse_masses, dt, multipliers, first)
+
+
+@device
+def _project_hinges(p, cloth, present, dt, multipliers, first):
+    if present is None:
+        return
+    project_hinges(p, cloth.hinges, cloth.inverse_masses, dt, multipliers, first)
+
+
+@device
+def _project_quadratic(p, cloth, present, dt, multipliers, first):
+    if present is None:
+        return
+    project_quadratic(p, cloth.quadratic, cloth.inverse_masses, dt, multipliers, first)
 
 
 @device
 def project_elastic(p, cloth, dt, multipliers):
     """One sweep of XPBD over all energies; multipliers (C,) of one substep: one a spring, then three a triangle of the
     membrane, three a patch of hinges, nine a patch of quadratic bending."""
-    w = cloth.inverse_masses
     project_springs(p, cloth, dt, multipliers)
     first = cloth.spring_ends.shape[0]
-    project_membrane(p, cloth.membrane, w, dt, multipliers, first)
+    _project_membrane(p, cloth, cloth.has_membrane, dt, multipliers, first)
     first += 3 * cloth.membrane.faces.shape[0]
-    project_hinges(p, cloth.hinges, w, dt, multipliers, first)
+    _project_hinges(p, cloth, cloth.has_hinges, dt, multipliers, first)
     first += 3 * cloth.hinges.stencils.shape[0]
-    project_quadratic(p, cloth.quadratic, w, dt, multipliers, first)
+    _project_quadratic(p, cloth, cloth.has_quadratic, dt, multipliers, first)
+
+
+@device
+def _membrane_energy(x, cloth, present):
+    if present is None:
+        return 0.0
+    return membrane_energy(x, cloth.membrane)
+
+
+@device
+def _hinge_energy(x, cloth, present):
+    if present is None:
+        return 0.0
+    return hinge_energy(x, cloth.hinges)
+
+
+@device
+def _quadratic_energy(x, cloth, present):
+    if present is None:
+        return 0.0
+    return quadratic_energy(x, cloth.quadratic)
 
 
 @kernel
@@ -54,11 +119,9 @@ def elastic_energy(x, cloth):
         dz = x[j, 2] - x[i, 2]
         longer = math.sqrt(dx * dx + dy * dy + dz * dz) - cloth.spring_rest[s]
         springs += 0.5 * cloth.spring_stiffness[s] * longer * longer
-    return (
-        springs,
-        membrane_energy(x, cloth.membrane),
-        hinge_energy(x, cloth.hinges) + quadratic_energy(x, cloth.quadratic),
-    )
+    membrane = _membrane_energy(x, cloth, cloth.has_membrane)
+    bending = _hinge_energy(x, cloth, cloth.has_hinges) + _quadratic_energy(x, cloth, cloth.has_quadratic)
+    return springs, membrane, bending
 
 
 @kernel

@@ -13,7 +13,10 @@ from clothgym.kernels.membrane import NO_MEMBRANE, MembraneArrays
 
 
 class ClothArrays(NamedTuple):
-    """What the integrators read of a model; constant while a simulation lives."""
+    """What the integrators read of a model; constant while a simulation lives.
+
+    An absent energy has arrays of length 0, and None for its `has_`: another type, for which kernels are compiled without it.
+    """
 
     inverse_masses: NDArray  # (V,) [1/kg], 0 = pinned
     spring_ends: NDArray  # (S, 2) int32
@@ -22,6 +25,9 @@ class ClothArrays(NamedTuple):
     membrane: MembraneArrays = NO_MEMBRANE
     hinges: HingeArrays = NO_HINGES
     quadratic: QuadraticArrays = NO_QUADRATIC
+    has_membrane: bool | None = None  # True or None
+    has_hinges: bool | None = None
+    has_quadratic: bool | None = None
 
 
 @device

@@ -35,7 +35,7 @@ from clothgym.mesh import face_areas
 from clothgym.scenes import validation as scenes
 
 G = 9.81
-SOLVERS = solving.solvers("springs", plain=True)
+SOLVERS = solving.solvers("springs")
 
 
 def met(result: dict[str, Any]) -> None:
@@ -293,10 +293,8 @@ def test_cases_ask_every_solver_and_family(quick):
     assert len({case.key for case in listed}) == len(listed)
     asked = {(case.parameters["family"], case.parameters.get("solver")) for case in listed}
     for solver in solving.solvers():
-        if quick and solving.split(solver)[1] == "float32":
-            continue
         assert {("pendulum", solver), ("column", solver), ("catenary", solver), ("flight", solver)} <= asked
-    for solver in solving.solvers("springs" if quick else None, plain=True):
+    for solver in solving.solvers("springs" if quick else None):
         assert {("incline", solver), ("creep", solver), ("bounce", solver), ("wave", solver)} <= asked
     assert {family for family, _ in asked} <= set(families.FAMILIES)
     if not quick:

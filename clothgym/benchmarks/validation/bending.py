@@ -28,7 +28,7 @@ def cases(quick: bool) -> list[Case]:
     rows = 12 if quick else 32
     listed = []
     for membrane in MEMBRANES:
-        for number, solver in enumerate(solvers(membrane, plain=True)):
+        for number, solver in enumerate(solvers(membrane)):
             for bending in STIFF[:1] if quick and number else STIFF:
                 key = f"{bending}/{solver}"
                 shape = {"rows": rows, "columns": 2, "grain": "0"}

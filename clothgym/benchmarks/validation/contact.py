@@ -21,7 +21,7 @@ _DT = 1.0 / 480.0
 def cases(quick: bool) -> list[Case]:
     """Slope as ground and as body with Coulomb friction, eq. 12 on the body, and bounces, with every solver."""
     listed = []
-    for solver in solvers("springs" if quick else None, plain=True):
+    for solver in solvers("springs" if quick else None):
         for plane in ("ground", "body"):
             settings = {"family": "incline", "solver": solver, "plane": plane, "rounds": 1 if quick else 4}
             listed.append(Case(f"incline/{plane}/{solver}", settings))

@@ -31,7 +31,7 @@ def cases(quick: bool) -> list[Case]:
     listed = []
     for membrane in MEMBRANES[-1:] if quick else MEMBRANES:
         # all integrators share their rest: the one that is there soonest
-        names = solvers(membrane, plain=True)
+        names = solvers(membrane)
         solver = next((name for name in names if split(name)[:2] == ("implicit_euler", "")), names[0])
         for bending in bends.STIFF[:1] if quick else bends.STIFF:
             settings = {"solver": solver, "bending": bending}

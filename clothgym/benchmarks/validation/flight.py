@@ -25,7 +25,7 @@ _CELLS, _SIDE, _SECONDS, _SAMPLES = 5, 0.5, 0.1024, 32
 def cases(quick: bool) -> list[Case]:
     """Free flight and convergence with every solver; stiffness by direction of every energy."""
     listed = []
-    for solver in solvers(plain=quick):
+    for solver in solvers():
         listed.append(
             Case(f"flight/{solver}", {"family": "flight", "solver": solver, "seed": 1, "levels": 3 if quick else 4})
         )

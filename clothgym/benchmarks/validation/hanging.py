@@ -22,7 +22,7 @@ def cases(quick: bool) -> list[Case]:
     slacks = (1.25,) if quick else (1.01, 1.05, 1.1, 1.25, 1.5, 2.0)
     links = 20 if quick else 40
     listed = []
-    for solver in solvers(plain=quick):
+    for solver in solvers():
         listed += [Case(f"column/{n}/{solver}", {"family": "column", "solver": solver, "rows": n}) for n in rows]
         listed += [
             Case(f"catenary/{slack}/{solver}", {"family": "catenary", "solver": solver, "slack": slack, "links": links})

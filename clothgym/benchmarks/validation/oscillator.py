@@ -24,7 +24,7 @@ def cases(quick: bool) -> list[Case]:
     modes = (1,) if quick else (1, 2, 3, 4)
     links = 12 if quick else 40
     listed = []
-    for solver in solvers(plain=quick):
+    for solver in solvers():
         listed.append(Case(f"oscillator/{solver}", {"family": "oscillator", "solver": solver}))
         listed += [
             Case(f"pendulum/{angle}/{solver}", {"family": "pendulum", "solver": solver, "angle": angle})

@@ -28,9 +28,9 @@ class NotAvailable(Exception):
     """A solver that does not do what a case needs; the message says what."""
 
 
-def solvers(membrane: str | None = None, plain: bool = False) -> list[str]:
-    """Names "integrator", "integrator:variant", with "+membrane" for all but springs, of all that Fidelity accepts; plain:
-    none that only computes with less precision."""
+def solvers(membrane: str | None = None, reduced: bool = False) -> list[str]:
+    """Names "integrator", "integrator:variant", with "+membrane" for all but springs, of all that Fidelity accepts;
+    `reduced`: those with less precision too, which sheets of some size have."""
     found = []
     for kind in MEMBRANES if membrane is None else (membrane,):
         for integrator in INTEGRATORS:
@@ -38,7 +38,7 @@ def solvers(membrane: str | None = None, plain: bool = False) -> list[str]:
                 name = integrator + (f":{variant}" if variant else "") + ("" if kind == "springs" else f"+{kind}")
                 if variant and integrator not in VARIANTS[variant][0]:
                     continue
-                if variant == "float32" and (plain or kind != "springs"):
+                if variant == "float32" and (not reduced or kind != "springs"):
                     continue
                 try:
                     fidelity(name)

@@ -25,12 +25,17 @@ def cases(quick: bool) -> list[Case]:
     modes = ((1, 1),) if quick else ((1, 1), (2, 1), (2, 2), (3, 1))
     cells = 8 if quick else 16
     listed = []
-    for solver in solvers("springs" if quick else None, plain=quick):
-        listed += [Case(f"wave/{n}/{solver}", {"family": "wave", "solver": solver, "number": n}) for n in waves]
-        listed += [
-            Case(f"membrane/{m}{n}/{solver}", {"family": "membrane", "solver": solver, "modes": [m, n], "cells": cells})
-            for m, n in modes
-        ]
+    asked = "springs" if quick else None
+    listed = [
+        Case(f"wave/{n}/{solver}", {"family": "wave", "solver": solver, "number": n})
+        for solver in solvers(asked)
+        for n in waves
+    ]
+    listed += [
+        Case(f"membrane/{m}{n}/{solver}", {"family": "membrane", "solver": solver, "modes": [m, n], "cells": cells})
+        for solver in solvers(asked, reduced=not quick)
+        for m, n in modes
+    ]
     return listed
 
 

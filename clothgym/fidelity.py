@@ -10,7 +10,7 @@ from typing import Any
 
 from clothgym.arrays import check_choice, check_number
 
-INTEGRATORS = ("xpbd", "symplectic_euler")
+INTEGRATORS = ("xpbd", "symplectic_euler", "runge_kutta", "implicit_euler", "global")
 MEMBRANES = ("springs", "continuum")
 BENDINGS = ("flexion", "hinge", "quadratic", "none")
 VELOCITY_MODIFICATIONS = ("none", "literal", "relative")
@@ -30,6 +30,9 @@ _RANGES = {
     "sweeps": (1, 10_000, True),
     "contact_substeps": (1, 100_000, True),
     "stretch_error": (1e-5, 10.0, False),
+    "time_order": (1, 2, True),
+    "tolerance": (1e-9, 1e3, False),
+    "solver_steps": (0, 10_000, True),
     "stretch_limit": (0.0, 10.0, False),
     "close_angle": (0.0, math.pi, False),
     "leaf_angle": (0.0, math.pi, False),
@@ -68,12 +71,15 @@ class Fidelity:
     """How well a scene is modelled. Every field changes a stage or a constant of the pipeline of some scene.
 
     Attributes:
-        integrator: "xpbd" (small substeps, stable at any step) or "symplectic_euler" (springs as forces, as the paper).
+        integrator: "xpbd" (small substeps, stable at any step), "symplectic_euler" (springs as forces, as the paper),
+            "runge_kutta" (the same, of order 4), "implicit_euler" (Newton's method, stable at any step),
+            "global" (the same steps by quasi-Newton with a constant system that is factored once).
         membrane: what resists stretch and shear: "springs" as the paper, or a "continuum" of triangles with the moduli of the
             material along weft and warp, whose stiffness does not depend on the mesh.
         bending: "flexion" springs as the paper, which have no linear bending stiffness; "hinge" angles with the material's
             bending rigidity; "quadratic" in the positions, cheaper, for cloth that is flat at rest; or "none".
-        substeps: parts of a step; 0 = as many as the safe time step of symplectic Euler, or the promise of XPBD, asks for.
+        substeps: parts of a step; 0 = as many as the safe time step of an explicit integrator, or the promise of XPBD,
+            asks for; implicit integrators: 2.
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep; with contact and substeps = 0 the least number of
             them, without contact chosen with the substeps.
         stretch_error: the promise of XPBD, where substeps = 0: no spring between neighbours gets longer than in the
@@ -81,6 +87,10 @@ class Fidelity:
         contact_substeps: of XPBD in scenes with contact, where substeps = 0; the promise then chooses the sweeps.
         precision: "float64", or "float32" for springs in scenes where cloth touches no cloth and no body: faster, and as
             good where the motion is not chaotic; positions and velocities stay float64 between steps.
+        time_order: of implicit integrators: 1 (implicit Euler, damps swings) or 2 (two stages a substep, damps little).
+        tolerance: what an implicit integrator may leave unbalanced [m/s^2], the root of the mean over the mass.
+        solver_steps: after this many steps of Newton or quasi-Newton a solve ends before its tolerance, counted as
+            "unconverged"; 0 = 50 for Newton; 5 for "global", which hardly ever reaches a tolerance in so few.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
         stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
         detection: "hierarchy" (k-DOP tree of clusters, the fastest), "brute_force" (every pair), or "mezger": the tree of
@@ -141,6 +151,9 @@ class Fidelity:
     stretch_error: float = 0.03
     contact_substeps: int = 8
     precision: str = "float64"
+    time_order: int = 2
+    tolerance: float = 0.05
+    solver_steps: int = 0
     velocity_modification: str = "none"
     stretch_limit: float = 0.1
     detection: str = "hierarchy"

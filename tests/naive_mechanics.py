@@ -206,3 +206,18 @@ def xpbd(x, v, ends, rests, stiffness, w, motion, substeps, grips, radii, ground
                         p[i, 2] = begin[i, 2] + keep * slide[2]
         grips.forces[:] += grips.multipliers / (dt * dt)
     return p, (p - begin) / dt
+
+
+def runge_kutta(x, v, acceleration, dt):
+    """One step of the classical method of order 4 for x' = v, v' = acceleration(x, v), from its table."""
+    table = [[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]]
+    rates: list[tuple[np.ndarray, np.ndarray]] = []
+    for row in table:
+        xs = x + dt * sum((a * r[0] for a, r in zip(row, rates)), np.zeros_like(x))
+        vs = v + dt * sum((a * r[1] for a, r in zip(row, rates)), np.zeros_like(x))
+        rates.append((vs, acceleration(xs, vs)))
+    weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+    return (
+        x + dt * sum(w * r[0] for w, r in zip(weights, rates, strict=True)),
+        v + dt * sum(w * r[1] for w, r in zip(weights, rates, strict=True)),
+    )

@@ -546,6 +546,7 @@ STEEP = dataclasses.replace(EULER, velocity_modification="relative", stretch_lim
 MEZGER = dataclasses.replace(CONTACT, detection="mezger")
 CURVATURE = dataclasses.replace(MEZGER, cones="mezger")
 CHOSEN = cg.Fidelity()
+IMPLICIT = cg.Fidelity(integrator="implicit_euler", substeps=2)
 KNOBS = {
     "integrator": (pile, CONTACT, "symplectic_euler", 0, "state"),
     "membrane": (pile, CONTACT, "continuum", 0, "state"),
@@ -555,6 +556,9 @@ KNOBS = {
     "contact_substeps": (pile, dataclasses.replace(CONTACT, substeps=0), 6, 0, "state"),
     "stretch_error": (hanging, CHOSEN, 0.05, 0, "state"),
     "precision": (hanging, CHOSEN, "float32", 0, "state"),
+    "time_order": (pile, IMPLICIT, 1, 0, "state"),
+    "tolerance": (pile, IMPLICIT, 1e-4, 2, "state"),
+    "solver_steps": (pile, IMPLICIT, 1, 2, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),

@@ -119,6 +119,34 @@ def _sheet() -> None:
         _steps(scene, dataclasses.replace(euler, velocity_modification=modification))
 
 
+def _other_integrators() -> None:
+    import trimesh
+
+    import clothgym as cg
+    from clothgym.kernels import implicit, quasi_newton
+
+    scene = cg.scenes.make("hanging_sheet", resolution=6)
+    vertices, faces = _crossing_sheets()
+    ball = cg.Body(trimesh.creation.icosphere(subdivisions=1, radius=0.15))
+    resting = cg.Scene([cg.Cloth((vertices + np.array([0.0, 0.151, 0.0]), faces))], bodies=[ball], self_collision=False)
+    base = cg.Fidelity.preset("draft")
+    _steps(scene, dataclasses.replace(base, integrator="runge_kutta", substeps=0))
+    for order in (1, 2):
+        fidelity = dataclasses.replace(base, integrator="implicit_euler", substeps=1, time_order=order)
+        solver = _steps(scene, fidelity).pipeline.stages[0].step.integrator
+    implicit.solve_linear(solver.matrix, solver.weights, solver.search, 0.1, 1)
+    solver = (
+        _steps(scene, dataclasses.replace(base, integrator="global", substeps=1)).pipeline.stages[0].step.integrator
+    )
+    quasi_newton.solve_factored(solver.factor, scene.start, scene.start.copy(), solver.memory.sorted)
+    for integrator in ("runge_kutta", "implicit_euler"):
+        _steps(resting, dataclasses.replace(base, integrator=integrator, substeps=0), 1)
+    held = cg.Simulation(dataclasses.replace(scene, grips=[cg.Grip(radius=0.5)]), fidelity)
+    held.place_grip(0, scene.start[0])
+    held.grasp(0)
+    held.step()
+
+
 def _energies() -> None:
     import clothgym as cg
     from clothgym.kernels import bending, elastic, membrane
@@ -232,6 +260,7 @@ def _pictures() -> None:
 PARTS: dict[str, Callable[[], None]] = {
     "geometry": _geometry,
     "sheet": _sheet,
+    "other integrators": _other_integrators,
     "energies": _energies,
     "contact": _contact,
     "wind and grippers": _wind_and_grips,

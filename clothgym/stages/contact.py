@@ -9,7 +9,7 @@ import numpy as np
 
 from clothgym.arrays import FloatArray
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import clamped, integrate
+from clothgym.kernels import clamped
 from clothgym.kernels.integrate import Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
@@ -63,8 +63,8 @@ class ContactSubsteps:
         s, model = self.step, frame.model
         self.kernels.solve(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
-            model.friction, s.radii, motion, s.ground, frame.grips, s.integrator.multipliers, substep,
-            s.integrator.in_sweeps,
+            model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),
+            s.integrator.multipliers, substep, s.integrator.in_sweeps,
         )  # fmt: skip
 
     def _answer(self, frame: Frame) -> None:
@@ -101,7 +101,7 @@ class ContactSubsteps:
 
     def run(self, frame: Frame) -> None:
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
-        x, v, p = state.positions, state.velocities, frame.predicted
+        x, p = state.positions, frame.predicted
         motion = s.motion(frame)
         frame.clamped = 0
         now = time.perf_counter()
@@ -110,6 +110,7 @@ class ContactSubsteps:
         frame.clock(f"{self.name}: flat", now)
         for n in range(base, s.substeps):
             now = time.perf_counter()
+            frame.substep = n
             self._predict(frame, motion)
             now = frame.clock(f"{self.name}: predict", now)
             done = n - base
@@ -150,7 +151,7 @@ class ContactSubsteps:
                 frame.count("unproved", 1)
             if self.watch:
                 frame.count("tunnel_events", self.watch.events(x, p, all_pairs=found.outdated(p, share)))
-            integrate.finish(x, v, p, s.dt)
+            s.integrator.finish(frame, s.dt)
             self._answer(frame)
             frame.clock(f"{self.name}: advance", now)
         frame.clamped += self._between_bodies()
@@ -211,12 +212,13 @@ class ContactSubstepsOnBody(ContactSubsteps):
         s, model = self.step, frame.model
         self.body_kernels.solve_on_body(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
-            model.friction, s.radii, motion, s.ground, frame.grips, s.integrator.multipliers, substep,
-            s.integrator.in_sweeps, self.contact,
+            model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),
+            s.integrator.multipliers, substep, s.integrator.in_sweeps, self.contact,
         )  # fmt: skip
 
     def _answer(self, frame: Frame) -> None:
         super()._answer(frame)
+        self.step.integrator.weigh_pushes(self.contact.moved)
         self.body_kernels.answer_body(frame.state.velocities, frame.model.inverse_masses, self.contact, self.step.dt)
 
     def _between_bodies(self) -> int:

@@ -28,6 +28,7 @@ class Frame:
         self.last_intersections: Any = None
         self.untangling_passes = 0
         self.clamped = 0
+        self.substep = 0
         self.work: dict[str, int] = {}
         self.profile: dict[str, list[float]] = {}
         self.set_grips()

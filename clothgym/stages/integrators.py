@@ -11,12 +11,23 @@ import numpy as np
 
 from clothgym.fidelity import Fidelity
 from clothgym.kernels import integrate
-from clothgym.kernels.integrate import Ground, Motion
+from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
 
 if TYPE_CHECKING:
     from clothgym.kernels.body_contact import BodyContact
+
+NO_GRIPS = Grips(
+    np.zeros(0, np.int32),
+    np.zeros((0, 3)),
+    np.zeros((0, 3)),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros((0, 3)),
+    np.zeros((0, 3)),
+)
+"""Nothing is held."""
 
 
 class Integrator:
@@ -42,16 +53,28 @@ class Integrator:
         raise NotImplementedError
 
     def predict(self, frame: Frame, motion: Motion) -> None:
-        """Writes frame.predicted, and what of the velocities it goes by."""
+        """Writes frame.predicted, and what of the velocities it goes by; frame.substep tells which one it is."""
         raise NotImplementedError
+
+    def loose_grips(self, frame: Frame) -> Grips:
+        """The anchors that p does not feel yet: they are projected with the contacts."""
+        return frame.grips
+
+    def finish(self, frame: Frame, dt: float) -> None:
+        """New positions and velocities from p, after everything has corrected it."""
+        integrate.finish(frame.state.positions, frame.state.velocities, frame.predicted, dt)
+
+    def weigh_pushes(self, moved: np.ndarray) -> None:
+        """Makes of what a body moved (V, 3) [m] what it gave to the momentum, m moved / dt, if `finish` sees that otherwise."""
 
     def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:
         """All substeps of a step without contact between cloths."""
         state, w = frame.state, frame.model.inverse_masses
         for n in range(self.substeps):
+            frame.substep = n
             self.predict(frame, motion)
-            integrate.hold(state.positions, frame.predicted, w, radii, motion, ground, frame.grips, n)
-            integrate.finish(state.positions, state.velocities, frame.predicted, motion.dt)
+            integrate.hold(state.positions, frame.predicted, w, radii, motion, ground, self.loose_grips(frame), n)
+            self.finish(frame, motion.dt)
 
     def run_on_body(
         self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
@@ -63,12 +86,14 @@ class Integrator:
         state, model = frame.state, frame.model
         x, v, p = state.positions, state.velocities, frame.predicted
         for n in range(self.substeps):
+            frame.substep = n
             self.predict(frame, motion)
             body_contact.solve_on_body(
-                x, p, model.arrays, NO_CONTACTS, 0, 0.0, radii, motion, ground, frame.grips, self.multipliers, n,
-                self.in_sweeps, contact,
+                x, p, model.arrays, NO_CONTACTS, 0, 0.0, radii, motion, ground, self.loose_grips(frame),
+                self.multipliers, n, self.in_sweeps, contact,
             )  # fmt: skip
-            integrate.finish(x, v, p, motion.dt)
+            self.finish(frame, motion.dt)
+            self.weigh_pushes(contact.moved)
             body_contact.answer_body(v, model.inverse_masses, contact, motion.dt)
 
 
@@ -120,10 +145,23 @@ def get(model: ClothModel, fidelity: Fidelity) -> Integrator:
     """The integrator that a fidelity names, for a model.
 
     Raises:
-        ValueError: substeps of symplectic Euler longer than the safe time step; the message states the limit.
+        ValueError: substeps of an explicit integrator longer than its safe time step; the message states the limit.
     """
+    kinds: dict[str, type[Integrator]] = {"symplectic_euler": SymplecticEuler}
     if fidelity.integrator == "xpbd":
         from clothgym.stages.xpbd import Xpbd
 
-        return Xpbd(model, fidelity)
-    return SymplecticEuler(model, fidelity)
+        kinds["xpbd"] = Xpbd
+    elif fidelity.integrator == "runge_kutta":
+        from clothgym.stages.runge_kutta import RungeKutta
+
+        kinds["runge_kutta"] = RungeKutta
+    elif fidelity.integrator == "implicit_euler":
+        from clothgym.stages.implicit_euler import ImplicitEuler
+
+        kinds["implicit_euler"] = ImplicitEuler
+    elif fidelity.integrator == "global":
+        from clothgym.stages.global_solver import GlobalSolver
+
+        kinds["global"] = GlobalSolver
+    return kinds[fidelity.integrator](model, fidelity)

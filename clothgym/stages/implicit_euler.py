@@ -1,0 +1,149 @@
+"""Implicit integration as an integrator: Newton's method with preconditioned conjugate gradients."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from clothgym.arrays import FloatArray, IntArray
+from clothgym.fidelity import Fidelity
+from clothgym.kernels import anchors, bending, implicit, integrate, runge_kutta
+from clothgym.kernels.implicit import BlockMatrix, Search
+from clothgym.kernels.integrate import Grips, Motion
+from clothgym.model import ClothModel
+from clothgym.stages.frame import Frame
+from clothgym.stages.integrators import NO_GRIPS, Integrator
+
+SECOND_ORDER = 1.0 - math.sqrt(0.5)
+"""Length of each of the two stages of the method of order 2, in steps."""
+
+
+class Implicit(Integrator):
+    """Steps that end where an objective is least; how that is found is up to subclasses.
+
+    With time_order 1 a substep is one implicit Euler step, of the same objective as XPBD's. With time_order 2 it is two
+    stages, each such a step of 0.29 of the length; these damp what the step cannot resolve, and little else. Anchors of
+    grippers are part of the objective. Ground, body and contact correct its result: a splitting, of order 1 in time.
+
+    Attributes:
+        few: steps of a solve at most, if the fidelity leaves that open.
+    """
+
+    few = 50
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        super().__init__(model, fidelity)
+        self.second_order = fidelity.time_order == 2
+        self.tolerance, self.steps = fidelity.tolerance, fidelity.solver_steps or self.few
+        h = model.scene.step / self.substeps * (SECOND_ORDER if self.second_order else 1.0)
+        self.stage_length = h
+        free = model.inverse_masses > 0.0
+        # the method of order 2 damps the new velocity; see `kernels.implicit.begin_stage`
+        drag = 1.0 + model.damping * h if self.second_order else 1.0
+        self.weights: FloatArray = np.where(free, model.masses * drag / h**2, 0.0)
+        shape = (model.vertex_count, 3)
+        self.targets: FloatArray = np.zeros(shape)
+        if self.second_order:
+            self.base, self.rate, self.free, self.ends = (np.zeros(shape) for _ in range(4))
+            self.lasting: FloatArray = np.zeros(model.vertex_count)
+
+    def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
+        return fidelity.substeps or 2
+
+    def loose_grips(self, frame: Frame) -> Grips:
+        return NO_GRIPS
+
+    def minimise(self, frame: Frame, time: float) -> None:
+        """Moves frame.predicted to the least objective; time [s] since the start of the step, for the grips."""
+        raise NotImplementedError
+
+    def predict(self, frame: Frame, motion: Motion) -> None:
+        state, p, h = frame.state, frame.predicted, self.stage_length
+        x, v, w = state.positions, state.velocities, frame.model.inverse_masses
+        start = frame.substep * motion.dt
+        implicit.begin_stage(x, v, self.targets, w, motion, h, self.second_order)
+        implicit.coast(x, v, p, w, h)
+        self.minimise(frame, start + h)
+        if self.second_order:
+            implicit.between_stages(x, v, p, self.base, self.rate, motion.dt, h)
+            implicit.begin_stage(self.base, self.rate, self.targets, w, motion, h, True)
+            self.minimise(frame, start + motion.dt)
+            implicit.end_stages(p, self.base, self.ends, self.free, h)
+        if len(frame.grips.vertices) > 0:
+            anchors.book_grip_forces(p, w, frame.grips, start + motion.dt, motion.dt)
+
+    def finish(self, frame: Frame, dt: float) -> None:
+        x, v, p = frame.state.positions, frame.state.velocities, frame.predicted
+        if self.second_order:
+            runge_kutta.finish_second_order(x, v, p, self.free, self.ends, dt, self.lasting)
+        else:
+            integrate.finish(x, v, p, dt)
+
+    def weigh_pushes(self, moved: FloatArray) -> None:
+        if self.second_order:
+            runge_kutta.count_lasting(moved, self.lasting)
+
+
+class ImplicitEuler(Implicit):
+    """Newton's method; its linear systems by conjugate gradients, preconditioned with the blocks on the diagonal."""
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
+        super().__init__(model, fidelity)
+        self.matrix = block_matrix(model)
+        count = model.vertex_count
+        self.search = Search(*(np.zeros((count, 3)) for _ in range(7)))
+        self.iterations = max(100, 3 * count)  # conjugate gradients end there but for rounding
+
+    def minimise(self, frame: Frame, time: float) -> None:
+        steps, iterations, left = implicit.newton(
+            frame.predicted, self.targets, self.weights, frame.model.arrays, frame.grips, time, self.matrix, self.search,
+            self.tolerance, self.steps, self.iterations,
+        )  # fmt: skip
+        frame.count("solver_steps", steps)
+        frame.count("linear_iterations", iterations)
+        frame.count("unconverged", not left <= self.tolerance)
+
+
+def block_matrix(model: ClothModel) -> BlockMatrix:
+    """The matrix of all energies of a model; what is constant in it is written."""
+    arrays = model.arrays
+    stencils = [arrays.spring_ends, arrays.membrane.faces, arrays.hinges.stencils, arrays.quadratic.stencils]
+    rows, columns, slots = block_pattern(stencils, model.inverse_masses == 0.0)
+    count, elements = model.vertex_count, [slots[0]]
+    for each in slots[1:]:
+        elements += [each, np.zeros((*each.shape, 3, 3))]
+    bending.quadratic_hessian(arrays, elements[-1])
+    diagonal, blocks, inverses = (np.zeros((size, 3, 3)) for size in (count, len(columns), count))
+    return BlockMatrix(rows, columns, diagonal, blocks, inverses, *elements)
+
+
+def block_pattern(stencils: list[IntArray], pinned: np.ndarray) -> tuple[IntArray, IntArray, list[IntArray]]:
+    """Where the blocks of elements go in a symmetric matrix of 3 x 3 blocks, see `kernels.implicit.BlockMatrix`.
+
+    Args:
+        stencils: for each kind of element (N, n) vertices.
+        pinned: (V,) vertices without equations.
+
+    Returns:
+        rows (V + 1,) and columns (P,), both int32, and for each kind slots (N, n, n) int32.
+    """
+    count = len(pinned)
+    slots, keys = [], []
+    for stencil in stencils:
+        first, second = np.broadcast_arrays(stencil[:, :, None], stencil[:, None, :])
+        ids = np.asarray(first, np.int64) * count + second
+        ids[pinned[first] | pinned[second] | (first > second)] = -1
+        keys.append(ids[(ids >= 0) & (first < second)])
+        slots.append(ids)
+    pairs = np.unique(np.concatenate(keys)) if keys else np.zeros(0, np.int64)
+    rows = np.searchsorted(pairs, np.arange(count + 1) * count)
+    for ids in slots:
+        row, column = ids // count, ids % count
+        # an element may name a vertex twice: such a block belongs to the diagonal too
+        ids[:] = np.where(ids < 0, -1, np.where(row == column, -2 - row, np.searchsorted(pairs, ids)))
+    return (
+        np.ascontiguousarray(rows, np.int32),
+        np.ascontiguousarray(pairs % count, np.int32),
+        [np.ascontiguousarray(ids, np.int32) for ids in slots],
+    )

@@ -63,7 +63,8 @@ def constant_matrix(model: ClothModel, weights: FloatArray) -> scipy.sparse.csc_
     warp = np.stack([-s[:, 2] - s[:, 3], s[:, 2], s[:, 3]], axis=1)
     triangles = (m.stiffness[:, 0] + m.stiffness[:, 3])[:, None, None] * weft[:, :, None] * weft[:, None, :]
     triangles += (m.stiffness[:, 2] + m.stiffness[:, 3])[:, None, None] * warp[:, :, None] * warp[:, None, :]
-    hinges = np.zeros((len(arrays.hinges.stencils), 6, 6, 3, 3))
+    patches, reach = arrays.hinges.stencils.shape
+    hinges = np.zeros((patches, reach, reach, 3, 3))
     bending.hinge_hessian(model.scene.start, arrays, hinges)
     q = arrays.quadratic.weights
     parts = [

@@ -826,3 +826,17 @@ def test_bad_settings_are_named():
             cg.Fidelity(**{field: value})
     with pytest.raises(ValueError, match="velocity_modification"):
         cg.Fidelity(integrator="implicit_euler", velocity_modification="relative")
+
+
+@pytest.mark.parametrize("bending", ["flexion", "hinge", "quadratic"])
+@pytest.mark.parametrize("membrane", ["springs", "continuum"])
+def test_the_constant_matrix_is_symmetric_and_no_energy_resists_a_shift(membrane, bending):
+    mesh = cg.grid(0.4, 0.3, 4, 3)
+    scene = cg.Scene([cg.Cloth(mesh, cg.Material(bending=1e-3, flexion=1.0))], self_collision=False)
+    model = cg.Simulation(scene, cg.Fidelity(integrator="global", membrane=membrane, bending=bending)).model
+    weights = np.linspace(1.0, 2.0, model.vertex_count)
+    matrix = constant_matrix(model, weights).toarray()
+    assert matrix == pytest.approx(matrix.T, rel=1e-12)
+    assert matrix.sum(axis=1) == pytest.approx(weights, abs=1e-9 * np.abs(matrix).max())
+    assert np.linalg.eigvalsh(matrix).min() > 0.9  # weights from 1 on, and energies of no negative stiffness
+    assert np.diag(matrix).max() > 10.0 * weights.max(), "the energies are in it"

@@ -9,7 +9,7 @@ from typing import Any
 
 from clothgym.arrays import check_choice, check_number
 from clothgym.scene import Scene
-from clothgym.scenes import crossing, garments, layers, mezger, sheets, shells
+from clothgym.scenes import crossing, garments, layers, mezger, sheets, shells, validation
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Description:
     parameters: tuple[Parameter, ...]
 
 
-_FAMILIES = (sheets, crossing, layers, shells, garments, mezger)
+_FAMILIES = (sheets, crossing, layers, shells, garments, mezger, validation)
 _MAKERS: dict[str, Callable[..., Scene]] = {}
 _PARAMETERS: dict[str, dict[str, tuple[Any, ...]]] = {}
 for _family in _FAMILIES:

@@ -33,10 +33,11 @@ class GlobalSolver(Implicit):
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         super().__init__(model, fidelity)
         self.factor = factorise(constant_matrix(model, self.weights), np.flatnonzero(model.inverse_masses > 0.0))
-        shape = (model.vertex_count, 3)
+        count = model.vertex_count
+        buffers = [np.zeros((count, 3)) for _ in range(4)]
         self.memory = Memory(
-            np.zeros((_KEPT, *shape)), np.zeros((_KEPT, *shape)), np.zeros(_KEPT), np.zeros(_KEPT),
-            np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((len(self.factor.order), 3)),
+            np.zeros((_KEPT, count, 3)), np.zeros((_KEPT, count, 3)), np.zeros(_KEPT), np.zeros(_KEPT),
+            buffers[0], buffers[1], buffers[2], buffers[3], np.zeros((len(self.factor.order), 3)),
         )  # fmt: skip
 
     def minimise(self, frame: Frame, time: float) -> None:
@@ -62,8 +63,8 @@ def constant_matrix(model: ClothModel, weights: FloatArray) -> scipy.sparse.csc_
     warp = np.stack([-s[:, 2] - s[:, 3], s[:, 2], s[:, 3]], axis=1)
     triangles = (m.stiffness[:, 0] + m.stiffness[:, 3])[:, None, None] * weft[:, :, None] * weft[:, None, :]
     triangles += (m.stiffness[:, 2] + m.stiffness[:, 3])[:, None, None] * warp[:, :, None] * warp[:, None, :]
-    reach = arrays.hinges.stencils.shape[1]
-    hinges = np.zeros((len(arrays.hinges.stencils), reach, reach, 3, 3))
+    patches, reach = arrays.hinges.stencils.shape
+    hinges = np.zeros((patches, reach, reach, 3, 3))
     bending.hinge_hessian(model.scene.start, arrays, hinges)
     q = arrays.quadratic.weights
     parts = [

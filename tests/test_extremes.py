@@ -628,7 +628,8 @@ def test_a_free_cloth_keeps_its_momentum(integrator):
             sim.step(3)
         except cg.SimulationError:
             return
-        assert np.abs((m * sim.velocities).sum(axis=0) - before).max() < 1e-9 * max(scale, 1.0)
+        solved = sim.fidelity.tolerance * sim.time * m.sum() if integrator in ("implicit_euler", "global") else 0.0
+        assert np.abs((m * sim.velocities).sum(axis=0) - before).max() < 1e-9 * max(scale, 1.0) + solved
 
     keeps()
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
 from clothgym.kernels.anchors import add_grip_pulls, grip_energy, pull
-from clothgym.kernels.bending import hinge_hessian
+from clothgym.kernels.bending import hinge_rows
 from clothgym.kernels.elastic import add_elastic_forces, elastic_energy
 from clothgym.kernels.membrane import membrane_hessian
 
@@ -41,10 +41,10 @@ class BlockMatrix(NamedTuple):
     spring_slots: NDArray  # (S, 2, 2) int32
     membrane_slots: NDArray  # (M, 3, 3) int32
     membrane_blocks: NDArray  # (M, 3, 3, 3, 3) [N/m] of the elements
-    hinge_slots: NDArray  # (N, 6, 6) int32
-    hinge_blocks: NDArray
-    quadratic_slots: NDArray  # (N, 6, 6) int32
-    quadratic_blocks: NDArray  # constant, written once
+    hinge_slots: NDArray  # (N, 12, 12) int32
+    hinge_rows: NDArray  # (N, 3, 12, 3) [(N/m)^(1/2)]: a block is the sum of products of rows
+    quadratic_diagonal: NDArray  # (V,) [N/m]: what quadratic bending adds, constant; (0,) without
+    quadratic_blocks: NDArray  # (P,) [N/m]
 
 
 class Search(NamedTuple):
@@ -220,15 +220,56 @@ def invert_diagonal(matrix):
 
 
 @device
+def _add_membrane(x, cloth, present, matrix):
+    if present is None:
+        return
+    membrane_hessian(x, cloth, matrix.membrane_blocks)
+    add_blocks(matrix.membrane_blocks, matrix.membrane_slots, matrix)
+
+
+@device
+def _add_hinges(x, cloth, present, matrix):
+    if present is None:
+        return
+    hinge_rows(x, cloth, matrix.hinge_rows)
+    slots = matrix.hinge_slots
+    for e in range(slots.shape[0]):
+        rows = matrix.hinge_rows[e]
+        for a in range(12):
+            for b in range(12):
+                n = slots[e, a, b]
+                if n == -1:
+                    continue
+                for r in range(3):
+                    for c in range(3):
+                        value = rows[0, a, r] * rows[0, b, c] + rows[1, a, r] * rows[1, b, c]
+                        value += rows[2, a, r] * rows[2, b, c]
+                        if n >= 0:
+                            matrix.blocks[n, r, c] += value
+                        else:
+                            matrix.diagonal[-2 - n, r, c] += value
+
+
+@device
+def _add_quadratic(present, matrix):
+    if present is None:
+        return
+    for i in range(matrix.quadratic_diagonal.shape[0]):
+        for c in range(3):
+            matrix.diagonal[i, c, c] += matrix.quadratic_diagonal[i]
+    for n in range(matrix.quadratic_blocks.shape[0]):
+        for c in range(3):
+            matrix.blocks[n, c, c] += matrix.quadratic_blocks[n]
+
+
+@device
 def assemble(x, weights, cloth, grips, time, matrix):
     """The matrix at positions x: inertia, what the energies keep of their second derivatives, anchors of grippers."""
     clear(weights, matrix)
     add_springs(x, cloth, matrix)
-    membrane_hessian(x, cloth, matrix.membrane_blocks)
-    add_blocks(matrix.membrane_blocks, matrix.membrane_slots, matrix)
-    hinge_hessian(x, cloth, matrix.hinge_blocks)
-    add_blocks(matrix.hinge_blocks, matrix.hinge_slots, matrix)
-    add_blocks(matrix.quadratic_blocks, matrix.quadratic_slots, matrix)
+    _add_membrane(x, cloth, cloth.has_membrane, matrix)
+    _add_hinges(x, cloth, cloth.has_hinges, matrix)
+    _add_quadratic(cloth.has_quadratic, matrix)
     add_grips(x, grips, time, cloth.inverse_masses, matrix)
     invert_diagonal(matrix)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clothgym import materials
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import LEAST_EDGE, FloatArray, IntArray
 from clothgym.batches import by_colour
 from clothgym.bending import BendingPatches, flat_corners, proper_faces
 from clothgym.fidelity import Fidelity
@@ -129,6 +129,8 @@ def _springs(cloth: Cloth, rest_shape: RestShape, surface: Surface, kinds: list[
     material, quads = materials.get(cloth.material), cloth.mesh.quads
     constants = {STRUCTURAL: material.stretch, SHEAR: material.shear, FLEXION: material.flexion}
     parts = [Springs(np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0), np.zeros(0, int))]
+    # shorter ones are vertices that all but coincide
+    least = LEAST_EDGE * float(rest_shape.edge_lengths(surface).mean())
     for kind in kinds:
         k = constants[kind]
         if k == 0.0 or (quads is None and kind == SHEAR):
@@ -140,7 +142,7 @@ def _springs(cloth: Cloth, rest_shape: RestShape, surface: Surface, kinds: list[
         else:
             pairs = _unique(np.concatenate([quads[:, [0, 2]], quads[:, [1, 3]]])) if kind == SHEAR else _skip_one(quads)
             rest = rest_shape.pair_lengths(pairs)
-        proper = rest > 0.0
+        proper = rest > least
         count = int(proper.sum())
         parts.append(Springs(pairs[proper], rest[proper], np.full(count, float(k)), np.full(count, kind)))
     return Springs(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from clothgym.arrays import check_number
+from clothgym.arrays import check_number, shown
 
 _RANGES = {
     "density": (1e-6, 1e3),
@@ -24,6 +24,10 @@ _RANGES = {
     "thickness": (1e-7, 1.0),
 }
 _OPTIONAL = ("weft", "warp", "coupling", "shear_modulus", "bending_warp")
+_NONE_OR_MORE = ("shear", "flexion", "coupling", "shear_modulus", "bending", "bending_warp")
+LEAST_STIFFNESS = 1e-12
+"""[N/m or N m] of what is there; the compliance 1 / (k dt^2) of a subnormal stiffness is infinite, and infinity times 0 is
+no number."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,13 @@ class Material:
     def __post_init__(self) -> None:
         for field, (low, high) in _RANGES.items():
             value = getattr(self, field)
-            if value is not None or field not in _OPTIONAL:
-                check_number(value, f"material.{field}", low, high)
+            if value is None and field in _OPTIONAL:
+                continue
+            value = check_number(value, f"material.{field}", low, high)
+            if field in _NONE_OR_MORE and 0.0 < value < LEAST_STIFFNESS:
+                raise ValueError(f"material.{field} = {value:g}: expected 0, or from {LEAST_STIFFNESS:g} to {high:g}")
+            # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
+            object.__setattr__(self, field, value)
         c11, c12, c22, _ = self.moduli
         if c12 * c12 >= c11 * c22:
             raise ValueError(
@@ -148,6 +157,6 @@ def get(material: str | Material) -> Material:
     """
     if isinstance(material, Material):
         return material
-    if material not in MATERIALS:
-        raise ValueError(f"material = {material!r}: expected one of {', '.join(MATERIALS)} or a Material")
+    if not isinstance(material, str) or material not in MATERIALS:
+        raise ValueError(f"material = {shown(material)}: expected one of {', '.join(MATERIALS)} or a Material")
     return MATERIALS[material]

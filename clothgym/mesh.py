@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clothgym.arrays import FloatArray, IntArray, as_faces, as_points
+from clothgym.arrays import FARTHEST, SQUARABLE, FloatArray, IntArray, as_faces, as_points, check_number
 
 
 class SurfaceArrays(NamedTuple):
@@ -103,9 +103,9 @@ class Surface:
         """Finite (V, 3) float64 vertices that cover every id.
 
         Raises:
-            ValueError: wrong shape, too few rows, or an entry that is not finite, by index.
+            ValueError: wrong shape, too few rows, or an entry that is not finite or beyond 1e150, by index.
         """
-        x = as_points(vertices)
+        x = as_points(vertices, limit=SQUARABLE)
         if len(x) < self.vertex_count:
             bad = int(np.argmax((self.given_faces >= len(x)).any(axis=1)))
             column = int(np.argmax(self.given_faces[bad] >= len(x)))
@@ -127,7 +127,7 @@ def as_surface(vertices: Any, faces: Any = None) -> tuple[FloatArray, Surface]:
         vertices, faces = np.asarray(vertices.vertices), np.asarray(vertices.faces)
     if isinstance(faces, Surface):
         return faces.check_vertices(vertices), faces
-    x = as_points(vertices)
+    x = as_points(vertices, limit=SQUARABLE)
     return x, Surface(faces, len(x))
 
 
@@ -157,7 +157,7 @@ def copied(given: Any, where: str) -> tuple[FloatArray, IntArray]:
         vertices, faces = given
     else:
         raise ValueError(f"{where}: mesh: expected a Mesh, a trimesh or (vertices, faces), got {given!r:.80}")
-    points = as_points(vertices, f"{where}: vertices").copy()
+    points = as_points(vertices, f"{where}: vertices", limit=FARTHEST).copy()
     return points, as_faces(faces, len(points), f"{where}: faces").copy()
 
 
@@ -167,8 +167,12 @@ def grid(width: float, height: float, columns: int, rows: int) -> Mesh:
     Diagonals alternate (union-jack), so that the triangles prefer no direction. Vertex id = row * (columns + 1) + column;
     row 0 lies at the largest z.
     """
-    if columns < 1 or rows < 1:
-        raise ValueError(f"grid: columns = {columns}, rows = {rows}: each must be at least 1")
+    width, height = (
+        check_number(width, "grid: width", 0.0, FARTHEST),
+        check_number(height, "grid: height", 0.0, FARTHEST),
+    )
+    columns = int(check_number(columns, "grid: columns", 1, 10_000, integer=True))
+    rows = int(check_number(rows, "grid: rows", 1, 10_000, integer=True))
     xs = np.linspace(-0.5 * width, 0.5 * width, columns + 1)
     zs = np.linspace(0.5 * height, -0.5 * height, rows + 1)
     vertices = np.stack([np.tile(xs, rows + 1), np.zeros((columns + 1) * (rows + 1)), np.repeat(zs, columns + 1)], 1)

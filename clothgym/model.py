@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from clothgym import elastic, materials
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import FARTHEST, LEAST_EDGE, FloatArray, IntArray
 from clothgym.elastic import FLEXION, SHEAR, STRUCTURAL
 from clothgym.fidelity import Fidelity
 from clothgym.mesh import Surface
@@ -58,10 +58,10 @@ class ClothModel:
             # a vertex that no triangle gives mass to must not be infinitely light
             mass = np.maximum(mass, 1e-6 * mass.max())
             surface = Surface(cloth.mesh.faces, count)
+            edge_rest.append(_proper_lengths(rest_shape.edge_lengths(surface), cloth.name))
             energies.append(elastic.energies(cloth, rest_shape, surface, fidelity))
             lengths = elastic.structural_pairs(cloth, rest_shape, surface)[1]
             structural.append(lengths[lengths > 0.0])
-            edge_rest.append(rest_shape.edge_lengths(surface))
             vertex_areas.append(areas)
             faces.append(cloth.mesh.faces + offset)
             masses.append(mass)
@@ -118,3 +118,15 @@ class ClothModel:
             return math.inf
         c = self.damping
         return (-c + math.sqrt(c * c + 4.0 * square)) / square
+
+
+def _proper_lengths(lengths: FloatArray, name: str) -> FloatArray:
+    """Rest lengths (E,) [m], 0 where vertices all but coincide: a strain by so small a length says nothing.
+
+    Raises:
+        ValueError: the cloth is smaller than numbers can tell.
+    """
+    mean = float(lengths.mean())
+    if not mean >= LEAST_EDGE:
+        raise ValueError(f"cloth {name!r}: rest: mean edge = {mean:g} m: out of range [{LEAST_EDGE:g}, {FARTHEST:g}]")
+    return np.where(lengths > LEAST_EDGE * mean, lengths, 0.0)

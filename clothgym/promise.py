@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
-from clothgym.fidelity import Fidelity
+from clothgym.fidelity import MOST_SUBSTEPS, MOST_SWEEPS, Fidelity
 from clothgym.model import ClothModel
 
 MOTION = 6.5
@@ -42,14 +42,28 @@ def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
     """Substeps of a step and sweeps of a substep: those of the fidelity, or as many as its promise takes.
 
     Without contact, substeps of one sweep are the cheapest; contact has substeps of its own, and springs get more sweeps.
+
+    Raises:
+        ValueError: more of them than a fidelity may ask for; a step would take minutes.
     """
     if fidelity.substeps > 0:
         return fidelity.substeps, fidelity.sweeps
     scene, stretch = model.scene, fidelity.stretch_error
     if scene.self_collision or scene.bodies:
         substeps = fidelity.contact_substeps
-        return substeps, max(fidelity.sweeps, sweeps_for(model, stretch, substeps))
-    return substeps_for(model, stretch), 1
+        return substeps, _bounded(
+            max(fidelity.sweeps, sweeps_for(model, stretch, substeps)), MOST_SWEEPS, "sweeps", stretch
+        )
+    return _bounded(substeps_for(model, stretch), MOST_SUBSTEPS, "substeps", stretch), 1
+
+
+def _bounded(count: int, most: int, name: str, stretch: float) -> int:
+    if count > most:
+        raise ValueError(
+            f"fidelity.stretch_error = {stretch:g}: takes {count:.3g} {name} in this scene, more than {most}; allow more "
+            "stretch, give the substeps, or take shorter steps of the scene"
+        )
+    return count
 
 
 def substeps_for(model: ClothModel, stretch: float) -> int:

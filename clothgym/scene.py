@@ -13,10 +13,24 @@ from typing import Any
 import numpy as np
 
 from clothgym import materials
-from clothgym.arrays import FloatArray, as_points, check_number
+from clothgym.arrays import (
+    FARTHEST,
+    FloatArray,
+    as_points,
+    as_vector,
+    check_each,
+    check_flag,
+    check_number,
+    check_text,
+    shown,
+)
 from clothgym.body import Body
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, copied
+
+_STRONGEST = 1e6
+"""Largest component of gravity [m/s^2] and wind [m/s]."""
+_RANGES = (("wind_drag", 0.0, 1e6), ("step", 1e-7, 10.0), ("duration", 0.0, 1e6), ("ground", -1e6, 1e6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +58,8 @@ class Cloth:
     equal_masses: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", check_text(self.name, "cloth.name"))
+        object.__setattr__(self, "equal_masses", check_flag(self.equal_masses, f"cloth {self.name!r}: equal_masses"))
         given = self.mesh
         quads = getattr(given, "quads", None) if isinstance(given, Mesh) else None
         points, triangles = copied(given, f"cloth {self.name!r}")
@@ -93,19 +109,21 @@ def _rest(given: Any, points: FloatArray, face_count: int, name: str) -> FloatAr
     """(V, 3) or (F, 3, 3) rest shape."""
     if given is None:
         return points
+    if np.ndim(given) != 3:
+        return as_points(given, f"cloth {name!r}: rest", len(points), FARTHEST).copy()
     values = np.asarray(given, np.float64)
-    if values.ndim != 3:
-        return as_points(values, f"cloth {name!r}: rest", len(points)).copy()
     if values.shape[:2] != (face_count, 3) or values.shape[2] not in (2, 3):
         raise ValueError(f"cloth {name!r}: rest: expected the corners of {face_count} faces, got shape {values.shape}")
     if values.shape[2] == 2:
         values = np.concatenate([values, np.zeros((face_count, 3, 1))], axis=2)
-    as_points(values.reshape(-1, 3), f"cloth {name!r}: rest corners")
+    as_points(values.reshape(-1, 3), f"cloth {name!r}: rest corners", limit=FARTHEST)
     return values.copy()
 
 
 def _pins(given: Any, count: int, name: str) -> tuple[int, ...]:
     """Vertex ids from a list of ids or a mask (V,) of booleans."""
+    if isinstance(given, str) or not np.iterable(given):
+        raise ValueError(f"cloth {name!r}: pins = {shown(given)}: expected a list of vertex ids")
     values = np.asarray(given)
     if values.size == 0:
         return ()
@@ -116,9 +134,9 @@ def _pins(given: Any, count: int, name: str) -> tuple[int, ...]:
     pins = []
     for value in given:
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
-            raise ValueError(f"cloth {name!r}: pins: {value!r} is no vertex id")
+            raise ValueError(f"cloth {name!r}: pins: {shown(value)} is no vertex id")
         if not 0 <= value < count:
-            raise ValueError(f"cloth {name!r}: pins: no vertex {value}, there are {count}")
+            raise ValueError(f"cloth {name!r}: pins: no vertex {shown(value)}, there are {count}")
         pins.append(int(value))
     return tuple(pins)
 
@@ -138,9 +156,8 @@ class Grip:
     slip_force: float = 50.0
 
     def __post_init__(self) -> None:
-        check_number(self.radius, "grip.radius", 1e-6, 10.0)
-        check_number(self.stiffness, "grip.stiffness", 1e-3, 1e9)
-        check_number(self.slip_force, "grip.slip_force", 1e-6, 1e9)
+        for field, low, high in (("radius", 1e-6, 10.0), ("stiffness", 1e-3, 1e9), ("slip_force", 1e-6, 1e9)):
+            object.__setattr__(self, field, check_number(getattr(self, field), f"grip.{field}", low, high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,27 +190,19 @@ class Scene:
     name: str = "scene"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cloths", tuple(self.cloths))
-        object.__setattr__(self, "bodies", tuple(self.bodies))
-        object.__setattr__(self, "grips", tuple(self.grips))
+        for field, kind in (("cloths", Cloth), ("bodies", Body), ("grips", Grip)):
+            object.__setattr__(self, field, check_each(getattr(self, field), f"scene.{field}", kind))
         if not self.cloths:
             raise ValueError("scene.cloths: empty; a scene needs at least one cloth")
-        for number, cloth in enumerate(self.cloths):
-            if not isinstance(cloth, Cloth):
-                raise ValueError(f"scene.cloths[{number}] = {type(cloth).__name__}: expected a Cloth")
-        for number, body in enumerate(self.bodies):
-            if not isinstance(body, Body):
-                raise ValueError(f"scene.bodies[{number}] = {type(body).__name__}: expected a Body")
         for name in ("gravity", "wind"):
-            vector = getattr(self, name)
-            if np.shape(vector) != (3,) or not np.isfinite(np.asarray(vector, float)).all():
-                raise ValueError(f"scene.{name} = {vector!r}: expected three finite numbers")
+            vector = as_vector(getattr(self, name), f"scene.{name}", _STRONGEST)
             object.__setattr__(self, name, tuple(float(c) for c in vector))
-        check_number(self.wind_drag, "scene.wind_drag", 0.0, 1e6)
-        check_number(self.step, "scene.step", 1e-7, 10.0)
-        check_number(self.duration, "scene.duration", 0.0, 1e6)
-        if self.ground is not None:
-            check_number(self.ground, "scene.ground", -1e6, 1e6)
+        for field, low, high in _RANGES:
+            if field != "ground" or self.ground is not None:
+                # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
+                object.__setattr__(self, field, check_number(getattr(self, field), f"scene.{field}", low, high))
+        object.__setattr__(self, "self_collision", check_flag(self.self_collision, "scene.self_collision"))
+        object.__setattr__(self, "name", check_text(self.name, "scene.name"))
 
     @cached_property
     def digest(self) -> str:
@@ -205,6 +214,11 @@ class Scene:
 
     def __hash__(self) -> int:
         return hash(self.digest)
+
+    @property
+    def calm(self) -> bool:
+        """Whether no wind blows."""
+        return self.wind_drag == 0.0 or not any(self.wind)
 
     @property
     def start(self) -> FloatArray:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from clothgym import fidelity as fidelities
 from clothgym import metrics
-from clothgym.arrays import FloatArray, IntArray, as_points, read_only
+from clothgym.arrays import FARTHEST, FloatArray, IntArray, as_ids, as_points, check_number, read_only, shown
 from clothgym.body import Body
 from clothgym.errors import SimulationError
 from clothgym.fidelity import Fidelity
@@ -18,7 +18,7 @@ from clothgym.model import ClothModel
 from clothgym.pipeline import Pipeline, assemble
 from clothgym.scene import Cloth, Scene
 from clothgym.stages.frame import Frame
-from clothgym.state import ClothState
+from clothgym.state import ClothState, Trace
 
 
 class Simulation:
@@ -42,7 +42,13 @@ class Simulation:
         self.reset()
 
     def reset(self, seed: int | None = None) -> None:
-        """Back to the start of the scene. Scenes are made from seeds of their own; nothing in a step is random."""
+        """Back to the start of the scene. Scenes are made from seeds of their own; nothing in a step is random.
+
+        Raises:
+            ValueError: a seed that is no integer.
+        """
+        if seed is not None:
+            check_number(seed, "seed", -(2**63), 2**64, integer=True)
         grips = len(self.scene.grips)
         self._state = ClothState(
             self.scene.start.copy(),
@@ -59,6 +65,7 @@ class Simulation:
         self._grip_forces: FloatArray = np.zeros((grips, 3))
         self._body_forces: FloatArray = np.zeros((self.model.vertex_count if self.scene.bodies else 0, 3))
         self._intersections: Any = None
+        self._trace = Trace()
         self.pipeline.forget()
         for entry in self.pipeline.profile.values():
             entry[:] = [0, 0.0]
@@ -69,8 +76,9 @@ class Simulation:
         Raises:
             SimulationError: the run diverged; the last finite state is kept.
         """
-        for _ in range(count):
+        for _ in range(int(check_number(count, "count", 0, 2**31, integer=True))):
             before = self._state.copy()
+            self._trace.begin(before, self._frame.untangling_passes)
             self._frame.set_grips()
             try:
                 diverged = self.pipeline.run(self._frame)
@@ -97,6 +105,7 @@ class Simulation:
             "clamped": self._frame.clamped,
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
+            "trace": self._trace,
         }
 
     def __setstate__(self, values: dict[str, Any]) -> None:
@@ -106,6 +115,7 @@ class Simulation:
         self._frame.untangling_passes = values["untangling_passes"]
         self._frame.clamped = values["clamped"]
         self._frame.work = values["work"]
+        self._trace = values["trace"]
 
     # --- what can be read -------------------------------------------------------------------------------------------
 
@@ -200,7 +210,8 @@ class Simulation:
         (of vertices and midpoints of faces below the true surface of the bodies), kinetic_energy and potential_energy
         [J], max_speed [m/s], time [s], clamped (vertices that layers or body parts pressed from opposite sides, harder than
         they could give way, in the last step), tunnel_events (pairs that passed each other since reset, as far as
-        `Fidelity.continuous` looks for them), untangling_passes (since reset), work (counters since reset).
+        `Fidelity.continuous` looks for them), untangling_passes (since reset), work (counters since reset), flags (see
+        `flags`).
         """
         x, v = self._state.positions, self._state.velocities
         hits = self.last_intersections
@@ -218,18 +229,36 @@ class Simulation:
             "tunnel_events": self._frame.work.get("tunnel_events", 0),
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
+            "flags": self.flags(),
         }
+
+    def flags(self) -> tuple[str, ...]:
+        """What is wrong with the current state although the run goes on, one line each, empty when all is well.
+
+        Each begins with its kind: stretch, compression, speed, rounding, zones, unproved, tunnelled, clamped or
+        energy (see `metrics.flags`).
+        """
+        state, frame = self._state, self._frame
+        found = metrics.flags(self.model, state.positions, state.velocities, self.pipeline.dt)
+        found += metrics.work_flags(self.model, frame.work, self.pipeline.substeps, frame.clamped)
+        start = self._trace.untouched(len(state.held_vertices))
+        if start is not None and self.scene.calm:
+            own = frame.untangling_passes == self._trace.passes
+            share = metrics.ENERGY if own else metrics.ENERGY_UNTANGLED
+            found += metrics.energy_flags(self.model, start, state.positions, state.velocities, share)
+        return found
 
     # --- what can be set --------------------------------------------------------------------------------------------
 
     def set_positions(self, positions: ArrayLike) -> None:
-        """Copies (V, 3) [m]. Raises ValueError for a wrong shape or an entry that is not finite."""
-        self._state.positions[:] = as_points(positions, "positions", self.model.vertex_count)
-        self._intersections = None
+        """Copies (V, 3) [m]. Raises ValueError for a wrong shape or an entry that is not finite or beyond 1e9."""
+        self._state.positions[:] = as_points(positions, "positions", self.model.vertex_count, FARTHEST)
+        self._intersections, self._trace = None, Trace()
 
     def set_velocities(self, velocities: ArrayLike) -> None:
-        """Copies (V, 3) [m/s]. Raises ValueError for a wrong shape or an entry that is not finite."""
-        self._state.velocities[:] = as_points(velocities, "velocities", self.model.vertex_count)
+        """Copies (V, 3) [m/s]. Raises ValueError for a wrong shape or an entry that is not finite or beyond 1e9."""
+        self._state.velocities[:] = as_points(velocities, "velocities", self.model.vertex_count, FARTHEST)
+        self._trace = Trace()
 
     def snapshot(self) -> ClothState:
         """An independent copy of the state, for `restore`."""
@@ -249,21 +278,18 @@ class Simulation:
         """Back to a snapshot of this simulation, bit for bit.
 
         Raises:
-            ValueError: the snapshot belongs to another scene.
+            ValueError: no snapshot, that of another scene, or one with numbers that are not finite.
         """
-        for name, given, own in (
-            ("vertices", snapshot.positions, self._state.positions),
-            ("grippers", snapshot.grip_positions, self._state.grip_positions),
-        ):
-            if given.shape != own.shape:
-                raise ValueError(f"snapshot: has {len(given)} {name}, this scene has {len(own)}")
+        if not isinstance(snapshot, ClothState):
+            raise ValueError(f"snapshot = {shown(snapshot)}: expected what snapshot() gave")
+        snapshot.check(self.model.vertex_count, len(self.scene.grips))
         self._restore(snapshot)
 
     def _restore(self, snapshot: ClothState) -> None:
         self._state = snapshot.copy()
         self._frame.state = self._state
         self.pipeline.forget()
-        self._intersections = None
+        self._intersections, self._trace = None, Trace()
 
     def state_hash(self) -> str:
         """Digest of every bit of the state."""
@@ -349,17 +375,18 @@ class Simulation:
         return self._state.held_vertices[self._state.held_by == self._grip(grip)]
 
     def _grip(self, grip: int) -> int:
-        if not 0 <= grip < len(self.scene.grips):
-            raise ValueError(f"grip = {grip}: the scene has {len(self.scene.grips)} grippers")
+        known = isinstance(grip, int | np.integer) and not isinstance(grip, bool) and 0 <= grip < len(self.scene.grips)
+        if not known:
+            raise ValueError(f"grip = {shown(grip)}: the scene has {len(self.scene.grips)} grippers, numbered from 0")
         return int(grip)
 
     def place_grip(self, grip: int, position: ArrayLike) -> None:
         """Puts a gripper somewhere [m]; what it holds goes along at the next step, by its anchor."""
-        self._state.grip_positions[self._grip(grip)] = as_points(np.atleast_2d(position), "position", 1)[0]
+        self._state.grip_positions[self._grip(grip)] = as_points(np.atleast_2d(position), "position", 1, FARTHEST)[0]
 
     def move_grip(self, grip: int, velocity: ArrayLike) -> None:
         """Velocity [m/s] of a gripper from the next step on."""
-        self._state.grip_velocities[self._grip(grip)] = as_points(np.atleast_2d(velocity), "velocity", 1)[0]
+        self._state.grip_velocities[self._grip(grip)] = as_points(np.atleast_2d(velocity), "velocity", 1, FARTHEST)[0]
 
     def grasp(self, grip: int, vertices: ArrayLike | None = None) -> int:
         """Closes a gripper on the given vertices, or on all within its radius; returns how many it holds now."""
@@ -369,9 +396,7 @@ class Simulation:
             distance = np.linalg.norm(self._state.positions - centre, axis=1)
             chosen = np.flatnonzero(distance <= self.scene.grips[grip].radius)
         else:
-            chosen = np.unique(np.asarray(vertices, np.int64))
-            if len(chosen) and (chosen.min() < 0 or chosen.max() >= self.model.vertex_count):
-                raise ValueError(f"vertices: ids must be below {self.model.vertex_count}")
+            chosen = np.unique(as_ids(vertices, "vertices", self.model.vertex_count))
         chosen = chosen[~np.isin(chosen, self._state.held_vertices)]
         state = self._state
         state.held_vertices = np.concatenate([state.held_vertices, chosen]).astype(np.int32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import FloatArray, IntArray, as_ids, as_points, check_number
 
 
 @dataclass
@@ -43,6 +43,29 @@ class ClothState:
             self.held_offsets.copy(),
         )
 
+    def check(self, vertices: int, grips: int) -> None:
+        """Whether this can be the state of a scene with so many vertices and grippers.
+
+        Raises:
+            ValueError: begins with "snapshot"; names what does not fit or is not finite.
+        """
+        for name, array, count in (("vertices", self.positions, vertices), ("grippers", self.grip_positions, grips)):
+            if array.shape != (count, 3):
+                raise ValueError(f"snapshot: has {len(array)} {name}, this scene has {count}")
+        held = len(self.held_vertices)
+        for field, count in (
+            ("positions", vertices),
+            ("velocities", vertices),
+            ("grip_positions", grips),
+            ("grip_velocities", grips),
+            ("held_offsets", held),
+        ):
+            as_points(getattr(self, field), f"snapshot: {field}", count)
+        check_number(self.time, "snapshot: time", 0.0, 1e12)
+        as_ids(self.held_vertices, "snapshot: held_vertices", vertices)
+        if len(as_ids(self.held_by, "snapshot: held_by", grips)) != held:
+            raise ValueError(f"snapshot: held_by: expected {held} entries, got {len(self.held_by)}")
+
     def hash(self) -> str:
         """Digest of every bit."""
         digest = hashlib.sha256()
@@ -59,3 +82,24 @@ class ClothState:
             digest.update(str(array.shape).encode())
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()[:32]
+
+
+class Trace:
+    """Since when a simulation has run on its own: nobody set its state, no gripper held.
+
+    Costs a step next to nothing: it keeps the copy of the state that the step makes anyway.
+    """
+
+    def __init__(self) -> None:
+        self.start: ClothState | None = None
+        self.passes, self.held = 0, False
+
+    def begin(self, before: ClothState, passes: int) -> None:
+        """Before every step, with an own copy of the state and the untangling passes since reset."""
+        if self.start is None:
+            self.start, self.passes = before, passes
+        self.held = self.held or len(before.held_vertices) > 0
+
+    def untouched(self, held: int) -> ClothState | None:
+        """The state from which on nothing but the scene's own forces and untangling acted, or None."""
+        return None if self.held or held else self.start

@@ -219,7 +219,7 @@ def invert_diagonal(matrix):
         b[2, 1] = b[1, 2]
 
 
-@kernel
+@device
 def assemble(x, weights, cloth, grips, time, matrix):
     """The matrix at positions x: inertia, what the energies keep of their second derivatives, anchors of grippers."""
     clear(weights, matrix)

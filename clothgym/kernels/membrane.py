@@ -33,6 +33,9 @@ class MembraneArrays(NamedTuple):
     stiffness: NDArray  # (M, 4) [N m]: rest area times C11, C12, C22, C33
 
 
+_FARTHEST = 0.5
+"""Share of its length by which a projection moves a fibre at most; at rest corrections go to zero and nothing is cut."""
+
 NO_MEMBRANE = MembraneArrays(np.zeros((0, 3), np.int32), np.zeros((0, 4)), np.zeros((0, 4)))
 
 
@@ -159,15 +162,23 @@ def project_membrane(p, membrane, w, dt, multipliers, first):
             -multipliers[at + 1] - k01 * eu - k11 * ev,
             -multipliers[at + 2] - k22 * g,
         )  # fmt: skip
-        multipliers[at] += r0
-        multipliers[at + 1] += r1
-        multipliers[at + 2] += r2
         gux = r0 * dux + r2 * vx
         guy = r0 * duy + r2 * vy
         guz = r0 * duz + r2 * vz
         gvx = r1 * dvx + r2 * ux
         gvy = r1 * dvy + r2 * uy
         gvz = r1 * dvz + r2 * uz
+        # shear is a product of fibres: where both move far, what is linear in them overshoots, and a sweep would add to it
+        share = _share(uu, uv, vv, lu, lv, gux, guy, guz, gvx, gvy, gvz)
+        multipliers[at] += share * r0
+        multipliers[at + 1] += share * r1
+        multipliers[at + 2] += share * r2
+        gux *= share
+        guy *= share
+        guz *= share
+        gvx *= share
+        gvy *= share
+        gvz *= share
         p[a, 0] += wa * (ta * gux + ra * gvx)
         p[a, 1] += wa * (ta * guy + ra * gvy)
         p[a, 2] += wa * (ta * guz + ra * gvz)
@@ -177,6 +188,20 @@ def project_membrane(p, membrane, w, dt, multipliers, first):
         p[c, 0] += wc * (s[1] * gux + s[3] * gvx)
         p[c, 1] += wc * (s[1] * guy + s[3] * gvy)
         p[c, 2] += wc * (s[1] * guz + s[3] * gvz)
+
+
+@device
+def _share(uu, uv, vv, lu, lv, gux, guy, guz, gvx, gvy, gvz):
+    """Share of a correction by which no fibre moves more than `_FARTHEST` of its length, or of its rest length."""
+    sux = uu * gux + uv * gvx
+    suy = uu * guy + uv * gvy
+    suz = uu * guz + uv * gvz
+    svx = uv * gux + vv * gvx
+    svy = uv * guy + vv * gvy
+    svz = uv * guz + vv * gvz
+    du = math.sqrt(sux * sux + suy * suy + suz * suz) / max(lu, 1.0)
+    dv = math.sqrt(svx * svx + svy * svy + svz * svz) / max(lv, 1.0)
+    return min(1.0, _FARTHEST / max(du, dv, _FARTHEST))
 
 
 @device

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
 
-CHUNK = 512
+CHUNK = 1024
 """Springs that are worked on at a time: their corrections fit into the nearest cache."""
 
 

@@ -192,6 +192,8 @@ class RerunLog:
         values = np.asarray(action)
         if values.dtype.kind not in "biuf":
             raise ValueError(f"action: expected numbers, got {values.dtype}")
+        if np.isnan(values).any():
+            raise ValueError(f"action[{int(np.argmax(np.isnan(values)))}] is nan")
         kind = "int64" if values.dtype.kind in "biu" else "float32" if values.dtype == np.float32 else "float64"
         row = {f"clothgym:action_{kind}": values.astype(kind).ravel()}
         self._writer.send("episode/action", [(int(step), _nanoseconds(sim_time), row)])
@@ -224,7 +226,8 @@ class RerunLog:
             outcome: state_hash (str), reward (float), terminated, truncated (bool), for replay.
 
         Raises:
-            ValueError: not opened, closed, a step that does not grow, wrong shapes, unknown bodies.
+            ValueError: not opened, closed, a step that does not grow, wrong shapes, positions that are not finite, unknown
+                bodies.
         """
         self._need_open()
         if self.steps and step <= self.steps[-1]:
@@ -232,6 +235,9 @@ class RerunLog:
         x = np.asarray(positions, dtype=np.float32)
         if x.shape != (self._vertex_count, 3):
             raise ValueError(f"positions: expected shape ({self._vertex_count}, 3), got {x.shape}")
+        if not np.isfinite(x).all():
+            row, column = (int(i) for i in np.argwhere(~np.isfinite(x))[0])
+            raise ValueError(f"positions[{row}, {column}] is {x[row, column]}: every coordinate must be finite")
         rows: Rows = [
             (entity, {"positions": x[part], "normals": normals(x[part], faces)}) for entity, part, faces in self._cloths
         ]

@@ -50,6 +50,9 @@ class Candidates:
         self.start: FloatArray = np.zeros((model.vertex_count, 3))
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
+        self._end: FloatArray = np.zeros((model.vertex_count, 3))
+        self._widths: FloatArray = np.zeros(model.vertex_count)
+        self._thickness = float(model.thickness.max())
         self.gathered = 0
         self._booked: dict[str, int] = {}
 
@@ -82,11 +85,13 @@ class Candidates:
         self.horizon = horizon
         self.start[:] = x
         self.travel[:] = travel
-        thickness = float(self.model.thickness.max())
-        np.sqrt(np.einsum("ij,ij->i", travel, travel), out=self.slack)
+        np.einsum("ij,ij->i", travel, travel, out=self.slack)
+        np.sqrt(self.slack, out=self.slack)
         self.slack *= _ERRATIC
-        self.slack += _LEEWAY * thickness
-        self.tree.refit(self.start, self.start + self.travel, self.slack + 0.5 * thickness)
+        self.slack += _LEEWAY * self._thickness
+        np.add(self.start, self.travel, out=self._end)
+        np.add(self.slack, 0.5 * self._thickness, out=self._widths)
+        self.tree.refit(self.start, self._end, self._widths)
         self.tree.search(near=True, hits=False)
 
     def gather(self) -> None:

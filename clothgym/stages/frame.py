@@ -64,6 +64,8 @@ class Frame:
         x, v = self.state.positions, self.state.velocities
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return "positions are no longer finite"
+        if not (np.isfinite(self.grips.forces).all() and np.isfinite(self.body_forces).all()):
+            return "contact or grip forces are no longer finite"
         speed = float(np.sqrt(np.einsum("ij,ij->i", v, v).max()))
         return f"a speed of {speed:.3g} m/s passed the cap of {SPEED_CAP:g} m/s" if speed > SPEED_CAP else ""
 

@@ -33,10 +33,11 @@ class GlobalSolver(Implicit):
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         super().__init__(model, fidelity)
         self.factor = factorise(constant_matrix(model, self.weights), np.flatnonzero(model.inverse_masses > 0.0))
-        shape = (model.vertex_count, 3)
+        count = model.vertex_count
+        buffers = [np.zeros((count, 3)) for _ in range(4)]
         self.memory = Memory(
-            np.zeros((_KEPT, *shape)), np.zeros((_KEPT, *shape)), np.zeros(_KEPT), np.zeros(_KEPT),
-            np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros((len(self.factor.order), 3)),
+            np.zeros((_KEPT, count, 3)), np.zeros((_KEPT, count, 3)), np.zeros(_KEPT), np.zeros(_KEPT),
+            buffers[0], buffers[1], buffers[2], buffers[3], np.zeros((len(self.factor.order), 3)),
         )  # fmt: skip
 
     def minimise(self, frame: Frame, time: float) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothgym.fidelity import Fidelity
+from clothgym.fidelity import MOST_SUBSTEPS, Fidelity
 from clothgym.kernels import integrate
 from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
@@ -107,7 +107,13 @@ class SymplecticEuler(Integrator):
     def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
         limit, step = model.safe_time_step(), model.scene.step
         if fidelity.substeps == 0:
-            return max(1, int(np.ceil(step / (0.9 * limit))))
+            needed = max(1.0, float(np.ceil(step / (0.9 * limit))))
+            if needed > MOST_SUBSTEPS:
+                raise ValueError(
+                    f"fidelity.substeps = 0: this scene needs {needed:.3g} substeps of {limit:.3g} s a step, more than "
+                    f"{MOST_SUBSTEPS}; take softer springs, a coarser mesh or integrator 'xpbd'"
+                )
+            return int(needed)
         if step / fidelity.substeps > limit:
             raise ValueError(
                 f"fidelity.substeps = {fidelity.substeps}: a substep of {step / fidelity.substeps:.3g} s exceeds the "

@@ -33,6 +33,9 @@ class FacePairs:
 
     def __init__(self, candidates: Any, scene_step: float, substeps: int, gravity: FloatArray) -> None:
         self.candidates, self.step, self.substeps, self.gravity = candidates, scene_step, substeps, gravity
+        self.free = (candidates.model.inverse_masses > 0)[:, None]
+        self.travel = np.zeros((len(self.free), 3))
+        self.fall = np.zeros((len(self.free), 3))
 
     def run(self, frame: Frame) -> None:
         self.look(frame, self.substeps)
@@ -40,15 +43,15 @@ class FacePairs:
     def look(self, frame: Frame, horizon: int) -> None:
         """Looks `horizon` substeps ahead."""
         state, ahead = frame.state, self.step * horizon / self.substeps
+        np.multiply(state.velocities, ahead, out=self.travel)
         # gravity is left out: what stands still stays, and what falls, falls together
-        if self.candidates.settle(state.positions, ahead * state.velocities, horizon):
+        if self.candidates.settle(state.positions, self.travel, horizon):
             frame.count("decided_flat", 1)
             frame.count("box_pairs", 0)
             return
-        fall = (0.5 * ahead * ahead) * self.gravity
-        free = (frame.model.inverse_masses > 0)[:, None]
-        travel = ahead * state.velocities + np.where(free, fall, 0.0)
-        self.candidates.expect(state.positions, travel, horizon)
+        np.multiply(self.free, (0.5 * ahead * ahead) * self.gravity, out=self.fall)
+        self.travel += self.fall
+        self.candidates.expect(state.positions, self.travel, horizon)
         frame.count("box_pairs", self.candidates.box_pairs)
 
 

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 import clothgym as cg
-from clothgym.arrays import FloatArray, check_choice
+from clothgym.arrays import FloatArray, as_floats, check_choice
 
 TRAIN_SEEDS = range(0, 10_000)
 VALIDATION_SEEDS = range(10_000, 10_100)
@@ -136,18 +136,30 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
         self.steps, self._failure, self._over = 0, 0, False
         self._begin(np.random.default_rng(drawn), dict(options or {}))
         self.reward_terms = {name: 0.0 for name in self.reward_terms}
-        return self.layout.pack(self._values()), self._info(False)
+        return self._observe(), self._info(False)
 
-    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control period. Actions beyond [-1, 1] are clipped.
+    def _observe(self) -> np.ndarray:
+        """The observation.
 
         Raises:
-            ValueError: an action of the wrong shape or with NaN.
+            SimulationError: a value in it is no number.
+        """
+        observation = self.layout.pack(self._values())
+        if np.isnan(observation).any():
+            name = next(n for n, field in self.layout.fields.items() if np.isnan(observation[field.slice]).any())
+            raise cg.SimulationError("observe", f"{name} is no number", self.simulation.time, "the episode ends")
+        return observation
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control period. Actions beyond [-1, 1], infinite ones too, are clipped.
+
+        Raises:
+            ValueError: an action that is no number, has the wrong shape or holds NaN; nothing has changed then.
             RuntimeError: the episode is over or was never begun.
         """
         if self._over:
             raise RuntimeError("step: the episode is over; call reset first")
-        act = np.asarray(action, np.float64)
+        act = as_floats(action, "action")
         if act.shape != self.action_space.shape:
             raise ValueError(f"action: expected shape {self.action_space.shape}, got {act.shape}")
         if np.isnan(act).any():
@@ -159,6 +171,12 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
             self._act(act)
             self._measure()
             self._failure = self._check()
+            if not self._failure:
+                terms, success = self._judge(act)
+                reward = float(sum(terms.values()))
+                if not np.isfinite(reward):
+                    raise cg.SimulationError("judge", "the reward is not finite", self.simulation.time, "the episode ends")
+                observation = self._observe()
         except cg.SimulationError as error:
             self._failure = 2 if "speed" in error.quantity else 1
         if self._failure:
@@ -168,19 +186,19 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
             self._over = True
             floor = -(15.0 + self.worst_cost_per_step * (self.horizon - self.steps + 1))
             self.reward_terms = {name: 0.0 for name in self.reward_terms} | {"failure": floor}
-            return self.layout.pack(self._values()), float(floor), True, False, self._info(False)
-        self.reward_terms, success = self._judge(act)
+            return self._observe(), float(floor), True, False, self._info(False)
+        self.reward_terms = terms
         truncated = self.steps >= self.horizon and not success
         self._over = success or truncated
-        reward = float(sum(self.reward_terms.values()))
-        return self.layout.pack(self._values()), reward, bool(success), bool(truncated), self._info(success)
+        return observation, reward, bool(success), bool(truncated), self._info(success)
 
     def _check(self) -> int:
         """Failure code of the current state."""
         v = self.simulation.velocities
-        if float(np.einsum("ij,ij->i", v, v).max()) > SPEED_CAP**2:
+        # written so that a NaN fails too
+        if not float(np.einsum("ij,ij->i", v, v).max()) <= SPEED_CAP**2:
             return 2
-        return 3 if self._strain() > STRAIN_CAP else 0
+        return 0 if self._strain() <= STRAIN_CAP else 3
 
     def _strain(self) -> float:
         return cg.metrics.max_strain(self.simulation.model, self.simulation.positions)
@@ -199,6 +217,7 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
             "penetration_depth": float(self._penetration()),
             "force_max": float(np.linalg.norm(forces, axis=1).max()) if len(forces) else 0.0,
             "failure": int(self._failure),
+            "degraded": len(self.simulation.flags()),
             "episode_seed": int(self.episode_seed),
         }
         info.update(self._details())

@@ -44,6 +44,8 @@ _WORKSPACE = np.array([[-0.55, -0.45, -0.45], [0.55, 0.5, 0.45]])
 """[m] around the tip."""
 _SETTLE = 12
 """Simulator steps in which the cuff comes to hang before an episode begins."""
+_DRAWS = 8
+"""Times that a start is drawn until the cuff hangs without crossing itself: one in thirty does not, on the hard level."""
 _STEPS = 3
 """Simulator steps in a control period."""
 _NOISE = 5e-3
@@ -250,20 +252,26 @@ class DressRingEnv(ClothEnv):
         if options:
             raise ValueError(f"options[{min(options)!r}]: DressRing knows 'variation' only")
         fixed = dressing.check_variation(given, VARIATIONS)
-        drawn = {name: float(rng.uniform(*_LEVELS[self.level][name])) for name in VARIATIONS}
-        self._noise_seed = int(rng.integers(2**31))
-        self._prepare(drawn | fixed)
-        sim = self.simulation
-        sim.reset()
-        sim.place_grip(0, self._start)
-        leading = self.cuff.leading
-        sim.grasp(0, leading[self.held_turn[leading] <= HOLD + 1e-9])
-        sim.step(_SETTLE)
+        for _ in range(_DRAWS):
+            drawn = {name: float(rng.uniform(*_LEVELS[self.level][name])) for name in VARIATIONS}
+            self._noise_seed = int(rng.integers(2**31))
+            self._prepare(drawn | fixed)
+            self._settle()
+            if self.simulation.last_intersections.hit_count == 0:
+                break
         self._past = np.zeros((_MAX_DELAY, 3))
         self._held_steps, self._tunnelled, self._peak_force = 0, False, 0.0
         self._contour_edges = 0.0
         self._measure()
         self.potential = self._worth()
+
+    def _settle(self) -> None:
+        """From the start of the scene until the cuff hangs from the gripper."""
+        sim, leading = self.simulation, self.cuff.leading
+        sim.reset()
+        sim.place_grip(0, self._start)
+        sim.grasp(0, leading[self.held_turn[leading] <= HOLD + 1e-9])
+        sim.step(_SETTLE)
 
     def _act(self, action: FloatArray) -> None:
         sim, limb, borders = self.simulation, self.limb, (self.cuff.leading, self.cuff.trailing)

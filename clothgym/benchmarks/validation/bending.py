@@ -63,10 +63,11 @@ def cantilever(solver: str, bending: str, load: float, rows: int, columns: int, 
     length = float(start[:, 2].max()) - clamp
     depth, reach = -tip[1] / length, (tip[2] - clamp) / length
     exact = known.elastica(float(load))
+    target = _TARGET if rows >= 12 else None  # few rows show how the error falls
     return {
         "quantities": [
-            measure.quantity("H / L", float(depth), exact[0], _TARGET),
-            measure.quantity("H / W", float(depth / reach), exact[0] / exact[1], _TARGET),
+            measure.quantity("H / L", float(depth), exact[0], target),
+            measure.quantity("H / W", float(depth / reach), exact[0] / exact[1], target),
         ],
         "speed_left": left,
         "substeps": simulation.pipeline.substeps,

@@ -14,7 +14,7 @@ import scipy.sparse.linalg
 import trimesh
 
 import clothgym as cg
-from clothgym.kernels import elastic, implicit, quasi_newton
+from clothgym.kernels import block_matrix, elastic, implicit, quasi_newton
 from clothgym.kernels.integrate import Grips
 from clothgym.model import ClothModel
 from clothgym.stages.global_solver import constant_matrix
@@ -359,7 +359,7 @@ def test_matrix_of_membrane_and_bending_is_the_derivative_of_their_forces(energi
     sim = cg.Simulation(scene, dataclasses.replace(FIRST, **energies))
     model, own = sim.model, solver(sim)
     x = 1.2 * mesh.vertices
-    implicit.assemble(x, own.weights, model.arrays, no_grips(), 0.0, own.matrix)
+    block_matrix.assemble(x, own.weights, model.arrays, no_grips(), 0.0, own.matrix)
     eps, count = 1e-6, len(x)
     expected = np.zeros((3 * count, 3 * count))
     force = np.zeros_like(x)

@@ -9,7 +9,8 @@ import numpy as np
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.fidelity import Fidelity
 from clothgym.kernels import anchors, implicit, integrate, runge_kutta
-from clothgym.kernels.implicit import BlockMatrix, Search
+from clothgym.kernels.block_matrix import BlockMatrix
+from clothgym.kernels.implicit import Search
 from clothgym.kernels.integrate import Grips, Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
@@ -133,7 +134,7 @@ def block_matrix(model: ClothModel) -> BlockMatrix:
 
 
 def block_pattern(stencils: list[IntArray], pinned: np.ndarray) -> tuple[IntArray, IntArray, list[IntArray]]:
-    """Where the blocks of elements go in a symmetric matrix of 3 x 3 blocks, see `kernels.implicit.BlockMatrix`.
+    """Where the blocks of elements go in a symmetric matrix of 3 x 3 blocks, see `kernels.block_matrix.BlockMatrix`.
 
     Args:
         stencils: for each kind of element (N, n) vertices, -1 = none.

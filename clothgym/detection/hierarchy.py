@@ -69,17 +69,29 @@ class Hierarchy:
 
         The lists that are not asked for stay as they are; buffers grow by counting.
         """
-        while True:
-            clusters.primitive_pairs(
-                self.clusters, near, hits, self._reach, self.counts, self._stack, self._leaves,
-                self.vertex_face, self.edge_edge, self.edge_face,
-            )  # fmt: skip
-            small = [n for n, name in enumerate(_KINDS) if self.counts[n] > len(getattr(self, name))]
-            if not small:
+        tree, counts, scratch = self.clusters, self.counts, (self._stack, self._leaves)
+        counts[3] = 0
+        while near:
+            tests = clusters.near_pairs(tree, self._reach, counts, *scratch, self.vertex_face, self.edge_edge)
+            if not self._grown(_KINDS[:2]):
+                counts[3] += tests
                 break
-            for n in small:
-                setattr(self, _KINDS[n], np.empty((int(1.3 * self.counts[n]) + 64, 2), np.int32))
-        self.box_tests += int(self.counts[3])
+        while hits:
+            tests = clusters.crossing_pairs(tree, self._reach, counts, *scratch, self.edge_face)
+            if not self._grown(_KINDS[2:]):
+                counts[3] += tests
+                break
+        self.box_tests += int(counts[3])
+
+    def _grown(self, kinds: tuple[str, ...]) -> bool:
+        """Makes room for what did not fit; whether there was any."""
+        grown = False
+        for kind in kinds:
+            count = int(self.counts[_KINDS.index(kind)])
+            if count > len(getattr(self, kind)):
+                setattr(self, kind, np.empty((int(1.3 * count) + 64, 2), np.int32))
+                grown = True
+        return grown
 
     def edges_against_faces(self) -> IntArray:
         """(C, 2) edges and faces that may intersect: a search for nothing else; valid until the next one."""

@@ -75,7 +75,8 @@ class Intersections:
         segments: (S, 2, 3) [m]; a pair with one shared vertex has its segment from the hit to that (loop) vertex.
         contour: (S,) contour of each segment; hit_contour: (H,) of each hit; hit_side: (H,) +1 or -1.
         skipped_faces: faces with a repeated vertex id, left out.
-        edge_triangle_tests: exact tests that were made.
+        edge_triangle_tests: pairs of an edge and a face that did not pass each other by a safe margin.
+        exact_tests: those of them that a safe margin did not decide.
     """
 
     def __init__(self, vertices: FloatArray, surface: Surface, edge_face: IntArray) -> None:
@@ -89,12 +90,12 @@ class Intersections:
         power = 0 if largest == 0.0 else 300 - int(np.frexp(largest)[1])
         scaled = np.ldexp(vertices, power)
         while True:
-            found, tests = contour_kernels.find_hits(scaled, s.faces, s.edges, edge_face, len(edge_face), keys)
+            found, left, exact = contour_kernels.find_hits(scaled, s.faces, s.edges, edge_face, len(edge_face), keys)
             if found <= len(keys):
                 break
-            edge_face = edge_face[:tests]
+            edge_face = edge_face[:left]
             keys = np.empty(found, np.int64)
-        self.edge_triangle_tests = int(tests)
+        self.edge_triangle_tests, self.exact_tests = int(left), int(exact)
         keys = np.sort(keys[:found])
         face_count = max(len(s.faces), 1)
         self.hit_edge: IntArray = (keys // face_count).astype(np.int32)

@@ -324,14 +324,12 @@ def _leaves_near(boxes, levels, arity, i, least, stack, leaves):
 
 
 @kernel
-def primitive_pairs(clusters, near, hits, reach, counts, stack, leaves, vertex_face, edge_edge, edge_face):
-    """Pairs of primitives without a common vertex whose boxes overlap, each once [Mezger 2003, 6.2].
+def near_pairs(clusters, reach, counts, stack, leaves, vertex_face, edge_edge):
+    """Vertex-face and edge-edge pairs without a common vertex whose boxes overlap, each once [Mezger 2003, 6.2].
 
-    near: list vertex-face (C, 2) and edge-edge pairs (C, 2); hits: list edge-face pairs (C, 2); what is not asked for stays
-    as it is. reach: what `refit_clusters` returned; primitives at rest are sifted by their shapes, and boxes widened for near
-    pairs count for hits as if they were not. As many as fit are written; counts (4,) receives how many there are of each
-    kind, and the number of tests of a box against a block. stack (S, 2) and leaves (L,) are scratch: S = arity times levels
-    is enough.
+    reach: what `refit_clusters` returned; primitives at rest are sifted by their shapes. As many as fit are written to
+    vertex_face (C, 2) and edge_edge (C, 2); counts[:2] receives how many there are. stack (S, 2) and leaves (L,) are
+    scratch: S = arity times levels is enough. Returns the number of tests of a box against a block.
     """
     boxes = clusters.boxes
     shapes = clusters.shapes
@@ -342,46 +340,65 @@ def primitive_pairs(clusters, near, hits, reach, counts, stack, leaves, vertex_f
     arity = clusters.arity
     points = np.int64(0)
     lines = np.int64(0)
-    crossings = np.int64(0)
     work = np.int64(0)
-    still = reach >= 0.0
-    all_of_it = np.float32(0.0)
-    core = np.float32(reach) if still else all_of_it
-    unknown = np.float32(-1.0)
-    far = np.float32(reach + MARGIN) if still else unknown
-    pierced = np.float32(MARGIN) if still else unknown
+    least = np.float32(0.0)
+    far = np.float32(reach + MARGIN) if reach >= 0.0 else np.float32(-1.0)
     for i in range(edge_start.shape[0] - 1):
-        beside, tests = _leaves_near(boxes, levels, arity, i, all_of_it if near else core, stack, leaves)
+        beside, tests = _leaves_near(boxes, levels, arity, i, least, stack, leaves)
         work += tests
         for other in range(beside):
             j = leaves[other]
             box_i = levels[0] + i // arity
             box_j = levels[0] + j // arity
-            if near:
-                lines, tests = _cross(
-                    boxes, shapes, ids, edge_start[i], edge_start[i + 1], edge_start[j], edge_start[j + 1], i == j,
-                    box_j, j % arity, all_of_it, far, True, False, edge_edge, lines,
-                )  # fmt: skip
-                work += tests
+            lines, tests = _cross(
+                boxes, shapes, ids, edge_start[i], edge_start[i + 1], edge_start[j], edge_start[j + 1], i == j,
+                box_j, j % arity, least, far, True, False, edge_edge, lines,
+            )  # fmt: skip
+            work += tests
             for side in range(1 if i == j else 2):
                 a = i if side == 0 else j
                 b = j if side == 0 else i
                 box = box_j if side == 0 else box_i
-                if near:
-                    points, tests = _cross(
-                        boxes, shapes, ids, vertex_start[a], vertex_start[a + 1], b, b + 1, False,
-                        box, b % arity, all_of_it, far, False, True, vertex_face, points,
-                    )  # fmt: skip
-                    work += tests
-                if hits:
-                    crossings, tests = _cross(
-                        boxes, shapes, ids, edge_start[a], edge_start[a + 1], b, b + 1, False,
-                        box, b % arity, core, pierced, True, True, edge_face, crossings,
-                    )  # fmt: skip
-                    work += tests
-    if near:
-        counts[0] = points
-        counts[1] = lines
-    if hits:
-        counts[2] = crossings
-    counts[3] = work
+                points, tests = _cross(
+                    boxes, shapes, ids, vertex_start[a], vertex_start[a + 1], b, b + 1, False,
+                    box, b % arity, least, far, False, True, vertex_face, points,
+                )  # fmt: skip
+                work += tests
+    counts[0] = points
+    counts[1] = lines
+    return work
+
+
+@kernel
+def crossing_pairs(clusters, reach, counts, stack, leaves, edge_face):
+    """Pairs of an edge and a face without a common vertex whose boxes overlap, each once; see `near_pairs`.
+
+    Boxes that were widened for near pairs of primitives at rest count as if they were not. In a loop of its own: in one with
+    the near pairs it took twice as long. counts[2] receives how many there are.
+    """
+    boxes = clusters.boxes
+    shapes = clusters.shapes
+    ids = clusters.ids
+    edge_start = clusters.edge_start
+    levels = clusters.levels
+    arity = clusters.arity
+    found = np.int64(0)
+    work = np.int64(0)
+    still = reach >= 0.0
+    least = np.float32(reach) if still else np.float32(0.0)
+    pierced = np.float32(MARGIN) if still else np.float32(-1.0)
+    for i in range(edge_start.shape[0] - 1):
+        beside, tests = _leaves_near(boxes, levels, arity, i, least, stack, leaves)
+        work += tests
+        for other in range(beside):
+            j = leaves[other]
+            for side in range(1 if i == j else 2):
+                a = i if side == 0 else j
+                b = j if side == 0 else i
+                found, tests = _cross(
+                    boxes, shapes, ids, edge_start[a], edge_start[a + 1], b, b + 1, False,
+                    levels[0] + b // arity, b % arity, least, pierced, True, True, edge_face, found,
+                )  # fmt: skip
+                work += tests
+    counts[2] = found
+    return work

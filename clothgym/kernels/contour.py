@@ -20,12 +20,13 @@ _KAPPA_EPS2 = 1e-6
 
 
 @device
-def _edge_apart_from_face(x, e0, e1, a0, a1, a2):
-    """Whether an edge passes a face by, by a safe margin: on one side of its plane or of one across the line of their centres,
-    or outside its three sides.
+def _look_at(x, e0, e1, a0, a1, a2):
+    """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
+    predicates.
 
-    Branch-free, and spares nearly all pairs the exact predicates; in flat neighbourhoods, where every determinant is
-    a tie, it is the line of the centres that does.
+    It passes by on one side of the face's plane or of one across the line of their centres, or outside the three sides of the
+    face; it hits if its ends lie on both sides of the plane and its line within all three sides. Branch-free; in flat
+    neighbourhoods, where every determinant is a tie, it is the line of the centres that tells.
     """
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
@@ -51,12 +52,13 @@ def _edge_apart_from_face(x, e0, e1, a0, a1, a2):
     other = dot(mx, my, mz, wx, wy, wz)
     high = high if high > other else other
     high = high if high > 0.0 else 0.0
-    across = low - high > 1e-12 * size * size
+    apart = low - high > 1e-12 * size * size
     nx, ny, nz = cross(ux, uy, uz, wx, wy, wz)
     low = dot(nx, ny, nz, px, py, pz)
     high = dot(nx, ny, nz, qx, qy, qz)
     margin = 1e-12 * size * size * size
-    across |= ((low > margin) & (high > margin)) | ((low < -margin) & (high < -margin))
+    apart |= ((low > margin) & (high > margin)) | ((low < -margin) & (high < -margin))
+    across = ((low > margin) & (high < -margin)) | ((low < -margin) & (high > margin))
     # the edge's line passes outside where it sees two sides of the face run differently around it
     rx, ry, rz = cross(px, py, pz, qx, qy, qz)
     first = -dot(rx, ry, rz, ux, uy, uz)
@@ -64,7 +66,9 @@ def _edge_apart_from_face(x, e0, e1, a0, a1, a2):
     second = low - high - first - third
     left = (first > margin) | (second > margin) | (third > margin)
     right = (first < -margin) | (second < -margin) | (third < -margin)
-    return across | (left & right)
+    inside = (first > margin) & (second > margin) & (third > margin)
+    inside |= (first < -margin) & (second < -margin) & (third < -margin)
+    return apart | (left & right), across & inside
 
 
 @kernel
@@ -72,29 +76,36 @@ def find_hits(x, faces, edges, edge_face, count, keys):
     """Hits among pairs of an edge and a face without a common vertex.
 
     Shapes: x (V, 3); faces (F, 3); edges (E, 2); edge_face (C, 2) ids, of which the first `count` are read and reordered.
-    Writes edge_id * F + face_id to keys (K,) as far as they fit; returns (hits found, exact edge-triangle tests).
+    Writes edge_id * F + face_id to keys (K,) as far as they fit; returns (hits found, pairs that did not pass by, exact tests).
     """
     left = 0
+    unsure = 0
     for n in range(count):
         edge = edge_face[n, 0]
         face = edge_face[n, 1]
-        edge_face[left, 0] = edge
+        apart, hit = _look_at(x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2])
+        # those that are left stand in front, with the outcome as the sign of the edge
+        edge_face[left, 0] = ~edge if hit else edge
         edge_face[left, 1] = face
-        left += not _edge_apart_from_face(
-            x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2]
-        )
+        left += not apart
     found = 0
     for n in range(left):
         edge = edge_face[n, 0]
         face = edge_face[n, 1]
-        hit, _, _, _, _, _ = edge_hits_triangle(
-            x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2]
-        )
+        hit = edge < 0
+        if hit:
+            edge = ~edge
+            edge_face[n, 0] = edge
+        else:
+            hit, _, _, _, _, _ = edge_hits_triangle(
+                x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2]
+            )
+            unsure += 1
         if hit:
             if found < keys.shape[0]:
                 keys[found] = np.int64(edge) * faces.shape[0] + face
             found += 1
-    return found, left
+    return found, left, unsure
 
 
 @device

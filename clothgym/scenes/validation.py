@@ -52,13 +52,14 @@ def _strip(length: float, columns: int, rows: int) -> tuple[Mesh, FloatArray, Fl
 
 def _bias_strip(length: float, columns: int, rows: int) -> tuple[Mesh, FloatArray, FloatArray]:
     """As `_strip`, cut at 45 degrees to the sides of its cells: `rows` half diagonals long, `columns` diagonals wide; cells
-    at the border are halved. The coordinates of the flat mesh follow the cells."""
+    at the border are halved. The coordinates of the flat mesh follow the cells; a triangle mesh, since springs of quads would
+    not hold its corners."""
     half = length / rows
     j, i = (n.ravel() for n in np.meshgrid(np.arange(rows + 1), np.arange(2 * columns + 1), indexing="ij"))
     on = (i + j) % 2 == 0
     number = np.full(((rows + 1), 2 * columns + 1), -1)
     number[j[on], i[on]] = np.arange(on.sum())
-    quads, faces = [], []
+    faces = []
     for cj, ci in zip(j[~on].tolist(), i[~on].tolist()):
         west, east = (number[cj, k] if 0 <= k <= 2 * columns else -1 for k in (ci - 1, ci + 1))
         north, south = (number[k, ci] if 0 <= k <= rows else -1 for k in (cj - 1, cj + 1))
@@ -67,12 +68,11 @@ def _bias_strip(length: float, columns: int, rows: int) -> tuple[Mesh, FloatArra
             gap = ring.index(-1)
             faces.append([ring[gap - 3], ring[gap - 2], ring[gap - 1]])
             continue
-        quads.append(ring)
         turn = (ci // 2 + cj) % 2
         faces += [[ring[turn], ring[turn + 1], ring[turn + 2]], [ring[turn + 2], ring[turn - 1], ring[turn]]]
     along, across = half * j[on], half * (i[on] - columns)
     flat = math.sqrt(0.5) * np.stack([along + across, np.zeros(len(along)), along - across], axis=1)
-    return Mesh(flat, np.array(faces, np.int32), np.array(quads, np.int32)), along, across
+    return Mesh(flat, np.array(faces, np.int32)), along, across
 
 
 def _cloth(

@@ -64,13 +64,12 @@ def constant_matrix(model: ClothModel, weights: FloatArray) -> scipy.sparse.csc_
     warp = np.stack([-s[:, 2] - s[:, 3], s[:, 2], s[:, 3]], axis=1)
     triangles = (m.stiffness[:, 0] + m.stiffness[:, 3])[:, None, None] * weft[:, :, None] * weft[:, None, :]
     triangles += (m.stiffness[:, 2] + m.stiffness[:, 3])[:, None, None] * warp[:, :, None] * warp[:, None, :]
-    patches, reach = arrays.hinges.stencils.shape
-    hinges = np.zeros((patches, reach, reach, 3, 3))
-    bending.hinge_hessian(model.scene.start, arrays, hinges)
+    rows = np.zeros((len(arrays.hinges.stencils), 3, 12, 3))
+    bending.hinge_rows(model.scene.start, arrays, rows)
     q = arrays.quadratic.weights
     parts = [
         (arrays.spring_ends, springs), (m.faces, triangles),
-        (arrays.hinges.stencils, np.trace(hinges, axis1=3, axis2=4)),
+        (arrays.hinges.stencils, np.einsum("naic,najc->nij", rows, rows)),
         (arrays.quadratic.stencils, np.einsum("nai,naj->nij", q, q)),
     ]  # fmt: skip
     count = model.vertex_count
@@ -79,6 +78,7 @@ def constant_matrix(model: ClothModel, weights: FloatArray) -> scipy.sparse.csc_
         rows, columns = np.broadcast_arrays(stencils[:, :, None], stencils[:, None, :])
         entries = (_SHARE * blocks.ravel(), (rows.ravel(), columns.ravel()))
         matrix = matrix + scipy.sparse.coo_array(entries, shape=(count, count)).tocsc()
+    matrix.eliminate_zeros()  # places of patches that have no vertex
     return matrix
 
 

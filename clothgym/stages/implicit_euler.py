@@ -8,8 +8,9 @@ import numpy as np
 
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import anchors, bending, implicit, integrate, runge_kutta
-from clothgym.kernels.implicit import BlockMatrix, Search
+from clothgym.kernels import anchors, implicit, integrate, runge_kutta
+from clothgym.kernels.block_matrix import BlockMatrix
+from clothgym.kernels.implicit import Search
 from clothgym.kernels.integrate import Grips, Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
@@ -113,22 +114,36 @@ class ImplicitEuler(Implicit):
 
 def block_matrix(model: ClothModel) -> BlockMatrix:
     """The matrix of all energies of a model; what is constant in it is written."""
-    arrays = model.arrays
-    stencils = [arrays.spring_ends, arrays.membrane.faces, arrays.hinges.stencils, arrays.quadratic.stencils]
+    arrays, count = model.arrays, model.vertex_count
+    hinges, quadratic = arrays.hinges, arrays.quadratic
+    # places that a patch does not have, or that have no weight, would fill the matrix with zeros
+    bent = np.zeros((len(hinges.stencils), 12), np.bool_)
+    patches, places = np.nonzero((hinges.weights != 0.0).any(axis=1))
+    for corner in range(4):
+        bent[patches, hinges.local[patches, places, corner]] = True
+    stencils = [
+        arrays.spring_ends,
+        arrays.membrane.faces,
+        np.where(bent, hinges.stencils, -1),
+        np.where((quadratic.weights != 0.0).any(axis=1), quadratic.stencils, -1),
+    ]
     rows, columns, slots = block_pattern(stencils, model.inverse_masses == 0.0)
-    count, elements = model.vertex_count, [slots[0]]
-    for each in slots[1:]:
-        elements += [each, np.zeros((*each.shape, 3, 3))]
-    bending.quadratic_hessian(arrays, elements[-1])
+    constant = np.zeros(count if arrays.has_quadratic else 0), np.zeros(len(columns) if arrays.has_quadratic else 0)
+    products = np.einsum("nai,naj->nij", quadratic.weights, quadratic.weights)
+    np.add.at(constant[0], -2 - slots[3][slots[3] < -1], products[slots[3] < -1])
+    np.add.at(constant[1], slots[3][slots[3] >= 0], products[slots[3] >= 0])
     diagonal, blocks, inverses = (np.zeros((size, 3, 3)) for size in (count, len(columns), count))
-    return BlockMatrix(rows, columns, diagonal, blocks, inverses, *elements)
+    return BlockMatrix(
+        rows, columns, diagonal, blocks, inverses, slots[0], slots[1], np.zeros((*slots[1].shape, 3, 3)), slots[2],
+        np.zeros((len(slots[2]), 3, 12, 3)), *constant,
+    )  # fmt: skip
 
 
 def block_pattern(stencils: list[IntArray], pinned: np.ndarray) -> tuple[IntArray, IntArray, list[IntArray]]:
-    """Where the blocks of elements go in a symmetric matrix of 3 x 3 blocks, see `kernels.implicit.BlockMatrix`.
+    """Where the blocks of elements go in a symmetric matrix of 3 x 3 blocks, see `kernels.block_matrix.BlockMatrix`.
 
     Args:
-        stencils: for each kind of element (N, n) vertices.
+        stencils: for each kind of element (N, n) vertices, -1 = none.
         pinned: (V,) vertices without equations.
 
     Returns:
@@ -137,10 +152,11 @@ def block_pattern(stencils: list[IntArray], pinned: np.ndarray) -> tuple[IntArra
     count = len(pinned)
     slots, keys = [], []
     for stencil in stencils:
+        left_out = (stencil < 0) | pinned[stencil]
         first, second = np.broadcast_arrays(stencil[:, :, None], stencil[:, None, :])
         ids = np.asarray(first, np.int64) * count + second
-        ids[pinned[first] | pinned[second] | (first > second)] = -1
-        keys.append(ids[(ids >= 0) & (first < second)])
+        ids[left_out[:, :, None] | left_out[:, None, :] | (first > second)] = -1
+        keys.append(np.unique(ids[(ids >= 0) & (first < second)]))
         slots.append(ids)
     pairs = np.unique(np.concatenate(keys)) if keys else np.zeros(0, np.int64)
     rows = np.searchsorted(pairs, np.arange(count + 1) * count)

@@ -175,7 +175,9 @@ class ClothEnv(gym.Env[np.ndarray, np.ndarray], ABC):
                 terms, success = self._judge(act)
                 reward = float(sum(terms.values()))
                 if not np.isfinite(reward):
-                    raise cg.SimulationError("judge", "the reward is not finite", self.simulation.time, "the episode ends")
+                    raise cg.SimulationError(
+                        "judge", "the reward is not finite", self.simulation.time, "the episode ends"
+                    )
                 observation = self._observe()
         except cg.SimulationError as error:
             self._failure = 2 if "speed" in error.quantity else 1

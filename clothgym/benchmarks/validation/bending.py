@@ -39,7 +39,7 @@ def cases(quick: bool) -> list[Case]:
                 if quick or number:
                     continue
                 listed += [
-                    Case(f"cantilever/10/{n} rows/{key}", {**settings, "load": 10, "rows": n}) for n in (8, 16, 64)
+                    Case(f"cantilever/10/{n} rows/{key}", {**settings, "load": 10, "rows": n}) for n in (8, 16)
                 ]
                 listed += [
                     Case(f"cantilever/10/{grain} degrees/{key}", {**settings, "load": 10, "grain": grain, "columns": 6})
@@ -63,10 +63,11 @@ def cantilever(solver: str, bending: str, load: float, rows: int, columns: int, 
     length = float(start[:, 2].max()) - clamp
     depth, reach = -tip[1] / length, (tip[2] - clamp) / length
     exact = known.elastica(float(load))
+    target = _TARGET if rows >= 12 else None  # few rows show how the error falls
     return {
         "quantities": [
-            measure.quantity("H / L", float(depth), exact[0], _TARGET),
-            measure.quantity("H / W", float(depth / reach), exact[0] / exact[1], _TARGET),
+            measure.quantity("H / L", float(depth), exact[0], target),
+            measure.quantity("H / W", float(depth / reach), exact[0] / exact[1], target),
         ],
         "speed_left": left,
         "substeps": simulation.pipeline.substeps,

@@ -75,5 +75,6 @@ def catenary(solver: str, slack: float, links: int) -> dict[str, Any]:
     simulation = simulate(scene, solver, dt, 1.0 / 60.0)
     left = measure.settle(simulation, scene.duration, 1e-7)
     sag = float(-simulation.positions[:, 1].min())
-    found = [measure.quantity(f"sag / span, {links} links", sag, known.catenary_sag(slack), _TARGET)]
+    target = _TARGET if links >= 20 else None  # few links show how the error falls
+    found = [measure.quantity(f"sag / span, {links} links", sag, known.catenary_sag(slack), target)]
     return {"quantities": found, "speed_left": left, "cells": links}

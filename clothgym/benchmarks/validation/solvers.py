@@ -21,7 +21,6 @@ VARIANTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
 }
 """Variants of integrators by the name after the colon: who has them, and what they set."""
 _PLAIN = {"untangling": "none", "contacts_near_hits": "keep"}
-_KNOWN = {field.name for field in dataclasses.fields(Fidelity)}
 
 
 class NotAvailable(Exception):
@@ -64,10 +63,11 @@ def fidelity(solver: str, bending: str = "none", **fields: Any) -> Fidelity:
     integrator, variant, membrane = split(solver)
     chosen: dict[str, Any] = {**_PLAIN, "integrator": integrator, "substeps": 0 if integrator in EXPLICIT else 8}
     if integrator in IMPLICIT:
-        chosen |= {"time_order": 1, "tolerance": 1e-7}
+        # the few steps that "global" takes by default leave stiff strips restless
+        chosen |= {"time_order": 1, "tolerance": 1e-7, "solver_steps": 50}
     chosen |= {"membrane": membrane, "bending": bending, **VARIANTS[variant][1], **fields}
     try:
-        return Fidelity(**{name: value for name, value in chosen.items() if name in _KNOWN})
+        return Fidelity(**chosen)
     except ValueError as reason:
         raise NotAvailable(str(reason)) from None
 

@@ -120,8 +120,9 @@ def energy_flags(
     """
     before = kinetic_energy(model, start.velocities) + potential_energy(model, start.positions)
     excess = kinetic_energy(model, v) + gravity_energy(model, x) - before
-    weight = float(model.masses.sum() * np.linalg.norm(model.scene.gravity))
+    free = float(model.masses[model.inverse_masses > 0].sum())
+    weight = free * float(np.linalg.norm(model.scene.gravity))
     stored = before - gravity_energy(model, start.positions)
     allowed = share * (weight * float(np.ptp(start.positions, axis=0).max()) + stored)
-    allowed += 0.5 * float(model.masses.sum()) * _STIR**2
+    allowed += 0.5 * free * _STIR**2
     return (f"energy {excess:.3g} J out of nothing, above {allowed:.3g} J",) if excess > allowed else ()

@@ -71,7 +71,7 @@ def _graded(value: float) -> cg.Scene:
 
 
 def _slivers(value: float) -> cg.Scene:
-    """Triangles `value` times as long as high."""
+    """Triangles `value` times as long as high, in a strip that is taut between its two ends."""
     mesh = cg.grid(1.0, 1.0 / value, CELLS, CELLS)
     bare = Mesh(mesh.vertices, mesh.faces)
     return cg.Scene((cg.Cloth(bare, _MATERIAL, (0, CELLS)),))
@@ -193,7 +193,7 @@ EXTREMES: dict[str, Extreme] = {
     "wind": Extreme(
         "m/s", (1.0, 1e2, 1e4), lambda value: cg.Scene((sheet(),), wind=(0.0, 0.0, value)), worked=True, falls=False
     ),
-    "slivers": Extreme("aspect", (1.0, 30.0, 1e3), _slivers),
+    "slivers": Extreme("aspect", (1.0, 30.0, 1e3), _slivers, falls=False),
     "faces without area": Extreme("%", (0.0, 10.0, 30.0), _without_area),
     "faces given several times": Extreme("copies", (1, 2, 3), _duplicates),
     "coincident layers": Extreme("layers", (1, 4, 2), _coincident),

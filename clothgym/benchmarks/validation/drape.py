@@ -97,8 +97,8 @@ def drape(solver: str, bending: str, bending_length: float, vertices: int) -> di
 def buckling(solver: str, bending: str, rows: int) -> dict[str, Any]:
     """Weight at which a strip on edge, clamped at one end, buckles sideways, from how its answer to a small push grows.
 
-    The push bends the tip by d, without limit at q_cr: 1 / d over q^2, nearly a line, leads to zero there. EI and GJ are measured
-    on the same strip, from the energy that a bend and a twist take.
+    The push bends the tip by d, without limit at q_cr: 1 / d over q^2, nearly a line, leads to zero there. EI and GJ are
+    measured on the same strip, from the energy that a bend and a twist take.
     """
     length, columns, rigidity, modulus = 0.2, 2, 1e-3, 5e3
     width = length / rows * columns

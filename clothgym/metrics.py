@@ -23,6 +23,9 @@ ENERGY = 0.1
 """Share of (weight x size + energy at the start) by which motion may exceed what was there before it is flagged."""
 ENERGY_UNTANGLED = 1.0
 """The same where untangling has moved vertices: it works against springs, but should not throw cloth about."""
+UNBALANCED = 0.9
+"""Share of gravity, acting on the cloth as a whole, that an implicit solve may leave unbalanced in the last step: what
+hangs in the air because its solve ended early leaves all of it."""
 _STIR = 0.01
 """[m/s] of the whole cloth: motion that is never flagged."""
 
@@ -81,12 +84,15 @@ def flags(model: ClothModel, x: FloatArray, v: FloatArray, dt: float) -> tuple[s
     return tuple(found)
 
 
-def work_flags(model: ClothModel, work: Mapping[str, int], substeps: int, clamped: int = 0) -> tuple[str, ...]:
+def work_flags(
+    model: ClothModel, work: Mapping[str, int], substeps: int, clamped: int = 0, unbalanced: float = 0.0
+) -> tuple[str, ...]:
     """What contact could not do properly, from the counters since reset and of the last step.
 
     zones: vertices moved as rigid zones because their pairs could not be kept apart one by one, counted in substeps;
     unproved: substeps after which it is not proved that no pair went through another; tunnelled:
-    pairs that did, as far as they were looked for; clamped: vertices pressed from both sides with less room than they need.
+    pairs that did, as far as they were looked for; clamped: vertices pressed from both sides with less room than they need;
+    unbalanced: an implicit solve that ended early has left the cloth as a whole accelerated by almost gravity or more.
     """
     found = []
     zoned, allowed = work.get("zoned", 0), ZONES * model.vertex_count * substeps
@@ -98,6 +104,9 @@ def work_flags(model: ClothModel, work: Mapping[str, int], substeps: int, clampe
         found.append(f"tunnelled {work['tunnel_events']} pairs since reset")
     if clamped > 0:
         found.append(f"clamped {clamped} vertices in the last step")
+    allowed = UNBALANCED * float(np.linalg.norm(model.scene.gravity)) or 1.0
+    if unbalanced > allowed:
+        found.append(f"unbalanced {unbalanced:.3g} m/s^2 on the whole cloth after a solve, above {allowed:.3g}")
     return tuple(found)
 
 

@@ -105,6 +105,7 @@ class Simulation:
             "clamped": self._frame.clamped,
             "untangling_passes": self._frame.untangling_passes,
             "work": dict(self._frame.work),
+            "unbalanced": self._frame.unbalanced,
             "trace": self._trace,
         }
 
@@ -115,6 +116,7 @@ class Simulation:
         self._frame.untangling_passes = values["untangling_passes"]
         self._frame.clamped = values["clamped"]
         self._frame.work = values["work"]
+        self._frame.unbalanced = values["unbalanced"]
         self._trace = values["trace"]
 
     # --- what can be read -------------------------------------------------------------------------------------------
@@ -235,12 +237,12 @@ class Simulation:
     def flags(self) -> tuple[str, ...]:
         """What is wrong with the current state although the run goes on, one line each, empty when all is well.
 
-        Each begins with its kind: stretch, compression, speed, rounding, zones, unproved, tunnelled, clamped or
-        energy (see `metrics.flags`).
+        Each begins with its kind: stretch, compression, speed, rounding, zones, unproved, tunnelled, clamped,
+        unbalanced or energy (see `metrics.flags`).
         """
         state, frame = self._state, self._frame
         found = metrics.flags(self.model, state.positions, state.velocities, self.pipeline.dt)
-        found += metrics.work_flags(self.model, frame.work, self.pipeline.substeps, frame.clamped)
+        found += metrics.work_flags(self.model, frame.work, self.pipeline.substeps, frame.clamped, frame.unbalanced)
         start = self._trace.untouched(len(state.held_vertices))
         if start is not None and self.scene.calm:
             own = frame.untangling_passes == self._trace.passes

@@ -105,7 +105,7 @@ def test_peaks_are_those_of_the_whole_run_not_of_its_end() -> None:
 
 
 def test_a_run_that_diverges_is_stopped_and_keeps_its_last_state() -> None:
-    scene = cg.Scene((extremes.sheet(4),))
+    scene = cg.Scene((extremes.sheet(4),), self_collision=False)
 
     def shot(simulation: cg.Simulation) -> None:
         simulation.set_velocities(np.full((25, 3), 1e5))
@@ -233,7 +233,7 @@ def test_literal_modification_has_no_safe_step_at_large_amplitude_and_relative_h
     strains = {
         m: limits.run("1, 0, 0", 0.2, m, 0.0, "symplectic_euler")["long_strain"] for m in ("literal", "relative")
     }
-    assert strains["literal"] is None or strains["literal"] > 10.0
+    assert strains["literal"] is None or strains["literal"] > 3.0
     assert strains["relative"] < 0.7
 
 

@@ -28,6 +28,7 @@ class Frame:
         self.last_intersections: Any = None
         self.untangling_passes = 0
         self.clamped = 0
+        self.unbalanced = 0.0
         self.substep = 0
         self.work: dict[str, int] = {}
         self.profile: dict[str, list[float]] = {}
@@ -42,7 +43,8 @@ class Frame:
         return now
 
     def set_grips(self) -> None:
-        """The grippers' anchors for the coming step, from the state."""
+        """The grippers' anchors for the coming step, from the state; what is measured a step begins anew."""
+        self.unbalanced = 0.0
         state, specs = self.state, self.model.scene.grips
         held = len(state.held_vertices)
         counts = np.bincount(state.held_by, minlength=len(specs))[state.held_by] if held else np.ones(0)

@@ -48,6 +48,7 @@ class GlobalSolver(Implicit):
         frame.count("solver_steps", steps)
         frame.count("shortened", shortened)
         frame.count("unconverged", not left <= self.tolerance)
+        self.weigh(frame, self.memory.gradient)
 
 
 def constant_matrix(model: ClothModel, weights: FloatArray) -> scipy.sparse.csc_array:

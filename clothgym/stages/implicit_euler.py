@@ -40,6 +40,7 @@ class Implicit(Integrator):
         h = model.scene.step / self.substeps * (SECOND_ORDER if self.second_order else 1.0)
         self.stage_length = h
         free = model.inverse_masses > 0.0
+        self.free_mass = max(float(model.masses[free].sum()), 1e-300)
         # the method of order 2 damps the new velocity; see `kernels.implicit.begin_stage`
         drag = 1.0 + model.damping * h if self.second_order else 1.0
         self.weights: FloatArray = np.where(free, model.masses * drag / h**2, 0.0)
@@ -58,6 +59,10 @@ class Implicit(Integrator):
     def minimise(self, frame: Frame, time: float) -> None:
         """Moves frame.predicted to the least objective; time [s] since the start of the step, for the grips."""
         raise NotImplementedError
+
+    def weigh(self, frame: Frame, gradient: FloatArray) -> None:
+        """Books the acceleration of the whole cloth that a solve has left unbalanced, from its gradient (V, 3) [N]."""
+        frame.unbalanced = max(frame.unbalanced, float(np.linalg.norm(gradient.sum(axis=0))) / self.free_mass)
 
     def predict(self, frame: Frame, motion: Motion) -> None:
         state, p, h = frame.state, frame.predicted, self.stage_length
@@ -104,6 +109,7 @@ class ImplicitEuler(Implicit):
         frame.count("solver_steps", steps)
         frame.count("linear_iterations", iterations)
         frame.count("unconverged", not left <= self.tolerance)
+        self.weigh(frame, self.search.gradient)
 
 
 def block_matrix(model: ClothModel) -> BlockMatrix:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import clothgym as cg
+from clothgym import fidelity as fidelities
 from clothgym.benchmarks.frame import Benchmark, Case
 from clothgym.benchmarks.stability import extremes, inputs, limits, show, watch
 
@@ -50,7 +51,9 @@ def cases(quick: bool) -> list[Case]:
             for factor in factors:
                 settings = {"kind": "map", "variant": variant, "fields": fields, "step": step, "stiffness": factor}
                 found.append(Case(f"map/{variant}/dt{step:g}/k{factor:g}", settings))
-        if quick and len(fields) > 1:  # extremes of the integrators alone
+        # extremes of the integrators; in full also with modifications, and other forces with the usual integrator
+        others = set(fields) - {"integrator", *(() if quick else ("velocity_modification",))}
+        if others and (quick or fields["integrator"] != fidelities.INTEGRATORS[0]):
             continue
         length, budget = _LENGTHS[quick]
         for name, extreme in extremes.EXTREMES.items():

@@ -196,8 +196,8 @@ def run(
         "frozen": fell is not None and fell < FROZEN,
     }
     found = [kind for kind, here in wrong.items() if here]
-    # what stands still has no flag of that name: zones and rounding are why it does
-    said = flags | ({"frozen"} if flags & {"zones", "rounding"} else set())
+    # what stands still, or rises, has no flag of that name: these are why it does
+    said = flags | ({"frozen"} if flags & {"zones", "rounding", "unbalanced", "energy"} else set())
     result.update(
         outcome="stopped" if result["error"] else "degraded" if found or flags else "stable",
         flags=sorted(flags), wrong=found, silent=[kind for kind in found if kind not in said], not_finite=sorted(bad),

@@ -36,7 +36,7 @@ class Pipeline:
             started = time.perf_counter()
             stage.run(frame)
             frame.clock(stage.name, started)
-            if "positions" in stage.writes and not getattr(stage, "idle", False) and (diverged := frame.diverged()):
+            if "positions" in stage.writes and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
 

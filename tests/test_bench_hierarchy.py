@@ -100,7 +100,7 @@ def test_without_ipctk_ours_is_measured_and_the_reason_given(monkeypatch: pytest
     result = hierarchy.run({**SMALL, "state": "clear"})
     assert result["peer"] is None
     assert "ipctk is not installed" in result["peer_skipped"]
-    assert set(result["ms"]) == {"near", "hits"}
+    assert set(result["ms"]) == {"near", "hits", "both"}
     table = hierarchy.tables([{"parameters": {**SMALL, "state": "clear"}, "result": result}])[0]
     assert "ipctk is not installed" in table.note
     assert table.rows[0][4:] == (None, None, None, None)

@@ -44,8 +44,7 @@ class Untangle:
     def run(self, frame: Frame) -> None:
         state, model, fidelity = frame.state, frame.model, self.fidelity
         self.apart[:] = False
-        self.idle = self.candidates.flat  # decided for where everything is now, too
-        if self.idle:
+        if self.candidates.flat:  # decided for where everything is now, too
             frame.count("hits", 0)
             return
         tree = self.candidates.tree

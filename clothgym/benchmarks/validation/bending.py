@@ -38,9 +38,7 @@ def cases(quick: bool) -> list[Case]:
                 listed += [Case(f"cantilever/{load}/{key}", {**settings, "load": load}) for load in asked]
                 if quick or number:
                     continue
-                listed += [
-                    Case(f"cantilever/10/{n} rows/{key}", {**settings, "load": 10, "rows": n}) for n in (8, 16)
-                ]
+                listed += [Case(f"cantilever/10/{n} rows/{key}", {**settings, "load": 10, "rows": n}) for n in (8, 16)]
                 listed += [
                     Case(f"cantilever/10/{grain} degrees/{key}", {**settings, "load": 10, "grain": grain, "columns": 6})
                     for grain in ("0", "45", "90")

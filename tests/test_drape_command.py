@@ -255,7 +255,7 @@ def test_a_diverged_drape_is_one_line_and_its_recording_is_closed(say: Any, dres
         ("skirt --body female --edge-length 0", "--edge-length = 0"),
         ("skirt --body female --seconds -1", "--seconds = -1"),
         ("skirt --body female --seconds nan", "--seconds = nan"),
-        ("skirt --body female --material wool", "--material = 'wool': expected one of cotton"),
+        ("skirt --body female --material velvet", "--material = 'velvet': expected one of cotton"),
         ("skirt --body female --fidelity fast", "fidelity = 'fast'"),
         ("skirt --body female --animate walk", "--animate"),
     ],

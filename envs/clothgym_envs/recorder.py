@@ -96,7 +96,7 @@ class RerunRecorder(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One step; its action is on disk before it is simulated."""
-        if self._log is not None and np.shape(action) == self.action_space.shape:
+        if self._log is not None and np.shape(action) == self.action_space.shape and not _holds_nan(action):
             self._log.log_action(self._step + 1, self._simulation.time, action)
         try:
             observation, reward, terminated, truncated, info = self.env.step(action)
@@ -200,6 +200,12 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, float]:
     """The entries of an info that are single numbers."""
     kinds = (bool, int, float, np.bool_, np.integer, np.floating)
     return {name: float(value) for name, value in info.items() if isinstance(value, kinds)}
+
+
+def _holds_nan(action: Any) -> bool:
+    """Whether an action is the environment's to refuse: no file holds NaN."""
+    values = np.asarray(action)
+    return values.dtype.kind == "f" and bool(np.isnan(values).any())
 
 
 def _json_or_note(values: dict[str, Any], name: str, obstacles: list[str]) -> dict[str, Any]:

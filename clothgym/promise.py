@@ -33,7 +33,10 @@ SPANNED = 3.0
 """Between held vertices that are not on one line cloth is taut like a drum: more than its weight pulls."""
 LEAST = 2.2
 """Substeps in 1/60 s, over the root of the stretch, below which heights of a falling sheet are off by centimetres."""
+OVERHEAD = 10
+"""Sweeps that closest points, the certificate and the rest of a substep with contact cost as much as."""
 _GAIN = 0.9
+_MORE_SUBSTEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 _LEVEL = 0.02
 """Held vertices whose extent across their line is more than this of that along it span an area."""
 
@@ -41,7 +44,8 @@ _LEVEL = 0.02
 def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
     """Substeps of a step and sweeps of a substep: those of the fidelity, or as many as its promise takes.
 
-    Without contact, substeps of one sweep are the cheapest; contact has substeps of its own, and springs get more sweeps.
+    Without contact, substeps of one sweep are the cheapest. A substep with contact costs as much as some sweeps before the
+    first one: the cheapest of several numbers of substeps, from those of the fidelity on, with the sweeps that it takes.
 
     Raises:
         ValueError: more of them than a fidelity may ask for; a step would take minutes.
@@ -50,10 +54,11 @@ def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
         return fidelity.substeps, fidelity.sweeps
     scene, stretch = model.scene, fidelity.stretch_error
     if scene.self_collision or scene.bodies:
-        substeps = fidelity.contact_substeps
-        return substeps, _bounded(
-            max(fidelity.sweeps, sweeps_for(model, stretch, substeps)), MOST_SWEEPS, "sweeps", stretch
-        )
+        rate = _longest(model, stretch, MOTION_IN_CONTACT)
+        choices = [math.ceil(share * fidelity.contact_substeps) for share in _MORE_SUBSTEPS]
+        efforts = [(n, max(fidelity.sweeps, _sweeps(scene.step / (n * rate)))) for n in choices]
+        substeps, sweeps = min(efforts, key=lambda effort: effort[0] * (OVERHEAD + effort[1]))
+        return substeps, _bounded(sweeps, MOST_SWEEPS, "sweeps", stretch)
     return _bounded(substeps_for(model, stretch), MOST_SUBSTEPS, "substeps", stretch), 1
 
 
@@ -79,7 +84,11 @@ def substeps_for(model: ClothModel, stretch: float) -> int:
 
 def sweeps_for(model: ClothModel, stretch: float, substeps: int) -> int:
     """Sweeps in each of so many substeps, for an excess stretch in a scene with contact."""
-    ratio = model.scene.step / (substeps * _longest(model, stretch, MOTION_IN_CONTACT))
+    return _sweeps(model.scene.step / (substeps * _longest(model, stretch, MOTION_IN_CONTACT)))
+
+
+def _sweeps(ratio: float) -> int:
+    """Sweeps that make up for substeps that are so many times too long for one."""
     return max(1, math.ceil(ratio ** (2.0 / _GAIN)))
 
 

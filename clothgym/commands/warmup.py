@@ -189,8 +189,8 @@ def _contact() -> None:
     ]
     _steps(cg.Scene(layers), "accurate")  # clamped, and tested continuously
     sheet = dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=6), self_collision=True)
-    for flat in ("draft", euler):
-        _steps(sheet, flat, 1)
+    for fidelity in ("draft", euler):
+        _steps(sheet, fidelity, 1)
 
 
 def _wind_and_grips() -> None:

@@ -145,4 +145,4 @@ def test_a_flat_sheet_is_decided_and_runs_as_with_a_search() -> None:
     assert result["share"] < 1.0 and min(result["ms"].values()) > 0.0
     (table,) = hierarchy.tables([{"parameters": parameters, "result": result}])
     assert table.rows[0][:3] == (6, 72, "3 of 3")
-    assert table.rows[0][5] == result["share"]
+    assert table.rows[0][6] == result["share"]

@@ -25,6 +25,7 @@ __all__ = [
     "euler_substeps",
     "finish",
     "hold",
+    "largest_speed",
     "xpbd_predict",
     "xpbd_substeps",
 ]
@@ -184,6 +185,21 @@ def euler_predict(x, v, p, f, cloth, motion):
 def finish(x, v, p, dt):
     """v = (p - x) / dt, x = p."""
     finish_substep(x, v, p, dt)
+
+
+@kernel
+def largest_speed(x, v):
+    """Of velocities v (V, 3) [m/s]; NaN if an entry of positions x (V, 3) or of v is not finite."""
+    largest = 0.0
+    sound = True
+    for i in range(x.shape[0]):
+        square = v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2]
+        # differences of what is not finite are NaN
+        zero = (x[i, 0] - x[i, 0]) + (x[i, 1] - x[i, 1]) + (x[i, 2] - x[i, 2])
+        zero += (v[i, 0] - v[i, 0]) + (v[i, 1] - v[i, 1]) + (v[i, 2] - v[i, 2])
+        sound = sound and zero == 0.0
+        largest = square if square > largest else largest
+    return math.sqrt(largest) if sound else math.nan
 
 
 @kernel

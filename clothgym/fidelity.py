@@ -130,7 +130,8 @@ class Fidelity:
             doubles when it crumples); 0 = never. Costs sorted pairs with "hierarchy", may save box tests. Misses nothing.
         repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
         continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
-            other as `tunnel_events`; nothing else changes. Costs about a tenth of a step with contact.
+            other as `tunnel_events`; nothing else changes. Took 8 % more for tangled squares, nothing measurable
+            without intersections.
         untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
         untangling_passes: corrections a step.
         h0: largest correction of a pass, in mean edge lengths [Volino 2006, eq. 5].

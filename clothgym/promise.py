@@ -34,7 +34,8 @@ SPANNED = 3.0
 LEAST = 2.2
 """Substeps in 1/60 s, over the root of the stretch, below which heights of a falling sheet are off by centimetres."""
 OVERHEAD = 10
-"""Sweeps that closest points, the certificate and the rest of a substep with contact cost as much as."""
+"""Sweeps that closest points, the certificate and the rest of a substep with contact are taken to cost; 3 in a resting pile,
+more where pairs are found anew."""
 _GAIN = 0.9
 _MORE_SUBSTEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 _LEVEL = 0.02
@@ -54,9 +55,9 @@ def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
         return fidelity.substeps, fidelity.sweeps
     scene, stretch = model.scene, fidelity.stretch_error
     if scene.self_collision or scene.bodies:
-        rate = _longest(model, stretch, MOTION_IN_CONTACT)
+        longest = _longest(model, stretch, MOTION_IN_CONTACT)
         choices = [math.ceil(share * fidelity.contact_substeps) for share in _MORE_SUBSTEPS]
-        efforts = [(n, max(fidelity.sweeps, _sweeps(scene.step / (n * rate)))) for n in choices]
+        efforts = [(n, max(fidelity.sweeps, _sweeps(scene.step / (n * longest)))) for n in choices]
         substeps, sweeps = min(efforts, key=lambda effort: effort[0] * (OVERHEAD + effort[1]))
         return substeps, _bounded(sweeps, MOST_SWEEPS, "sweeps", stretch)
     return _bounded(substeps_for(model, stretch), MOST_SUBSTEPS, "substeps", stretch), 1
@@ -80,11 +81,6 @@ def substeps_for(model: ClothModel, stretch: float) -> int:
     step = model.scene.step
     least = 60.0 * step * LEAST / math.sqrt(stretch)
     return max(math.ceil(step / _longest(model, stretch, MOTION)), math.ceil(least))
-
-
-def sweeps_for(model: ClothModel, stretch: float, substeps: int) -> int:
-    """Sweeps in each of so many substeps, for an excess stretch in a scene with contact."""
-    return _sweeps(model.scene.step / (substeps * _longest(model, stretch, MOTION_IN_CONTACT)))
 
 
 def _sweeps(ratio: float) -> int:

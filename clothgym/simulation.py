@@ -358,7 +358,6 @@ class Simulation:
         new.grip_positions[:], new.grip_velocities[:] = old.grip_positions, old.grip_velocities
         new.time, new.step = old.time, old.step
         self._grip_forces, self._frame.untangling_passes, self._frame.work = grip_forces, passes, work
-        self._intersections = None
 
     # --- grippers ---------------------------------------------------------------------------------------------------
 

@@ -356,11 +356,11 @@ def test_nothing_is_allocated_again_once_warm():
     for x in drifting(3, 1e-4):
         scene.update(a, x)
         scene.collide(EPS)
-    held = [(id(link.stack), id(link.pairs), id(link.out)) for link in scene._links.values()]
+    held = [(id(link.descent.stack), id(link.descent.pairs), id(link.out)) for link in scene._links.values()]
     for x in drifting(3, 1e-4):
         scene.update(a, x)
         scene.collide(EPS)
-    assert held == [(id(link.stack), id(link.pairs), id(link.out)) for link in scene._links.values()]
+    assert held == [(id(link.descent.stack), id(link.descent.pairs), id(link.out)) for link in scene._links.values()]
 
 
 def test_buffers_grow_and_drop_nothing():

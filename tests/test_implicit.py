@@ -12,43 +12,22 @@ import scipy.optimize
 import scipy.sparse
 import scipy.sparse.linalg
 import trimesh
+from ladders import UPRIGHT, ladder, lone, no_grips
 
 import clothgym as cg
 from clothgym.kernels import block_matrix, elastic, implicit, quasi_newton
-from clothgym.kernels.integrate import Grips
 from clothgym.model import ClothModel
 from clothgym.stages.global_solver import constant_matrix
 from clothgym.stages.implicit_euler import SECOND_ORDER, ImplicitEuler, block_pattern
 from clothgym.stages.runge_kutta import safe_time_step
 
 G = 9.81
-UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""(x, y, z) -> (x, z, -y): the sheet's z becomes height."""
 EXACT = cg.Fidelity(integrator="implicit_euler", substeps=1, tolerance=1e-8)
 FIRST = dataclasses.replace(EXACT, time_order=1)
 RUNGE_KUTTA = cg.Fidelity(integrator="runge_kutta", substeps=0)
 GLOBAL = dataclasses.replace(EXACT, integrator="global", solver_steps=5000)
 WAYS = {"runge_kutta": RUNGE_KUTTA, "order 1": FIRST, "order 2": EXACT, "global": GLOBAL}
 IMPLICIT = {name: fidelity for name, fidelity in WAYS.items() if name != "runge_kutta"}
-
-
-def no_grips() -> Grips:
-    return Grips(np.zeros(0, np.int32), *(np.zeros((0, 3)) for _ in range(2)), np.zeros(0), np.zeros(0),
-                 np.zeros((0, 3)), np.zeros((0, 3)))  # fmt: skip
-
-
-def ladder(rungs: int, top=(0, 1), stretched: float = 1.0, **material) -> cg.Cloth:
-    """Two upright columns of `rungs` springs, joined by level springs; row 0 is the top. No shear, no flexion."""
-    mesh = cg.grid(0.1, 1.0, 1, rungs)
-    placed = (mesh.vertices @ UPRIGHT.T) * [1.0, stretched, 1.0]
-    values = {"density": 0.2, "stretch": 50.0, "shear": 0.0, "flexion": 0.0, "damping": 0.0} | material
-    return cg.Cloth(
-        cg.Mesh(placed, mesh.faces, mesh.quads), cg.Material(**values), top, mesh.vertices, equal_masses=True
-    )
-
-
-def lone(cloth: cg.Cloth, **scene) -> cg.Scene:
-    return cg.Scene([cloth], **({"self_collision": False} | scene))
 
 
 def sheet(damping: float = 0.7, pins=(0, 4), **scene) -> cg.Scene:

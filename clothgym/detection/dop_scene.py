@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clothgym.arrays import FloatArray, IntArray, check_choice, check_number
+from clothgym.detection.descent import Descent
 from clothgym.detection.dop_near import Near, empty_reports, filled, of_second, particles
 from clothgym.detection.dop_object import DopObject
 from clothgym.kernels import cones as cone_kernels
@@ -34,6 +35,7 @@ _LARGEST = 20_000_000
 class _Link:
     """What is kept of two objects from one `collide` to the next."""
 
+    descent: Descent
     stops: Any = None
     age: int = 0
     first_stops: int = 0
@@ -41,9 +43,6 @@ class _Link:
     slack: Any = None
     reach: float = -1.0
     pair_count: int = 0
-    stack: Any = field(default_factory=lambda: np.zeros((4096, 2), np.int64))
-    pairs: Any = field(default_factory=lambda: np.zeros((4096, 2), np.int32))
-    room: Any = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     out: Any = None
 
 
@@ -218,11 +217,11 @@ class DopScene:
     def candidates(self, key: tuple[int, int]) -> IntArray:
         """(C, 2) pairs of polygons that the last `collide` looked at; reused ones are not among them."""
         link = self._links[key]
-        return link.pairs[: link.pair_count]
+        return link.descent.pairs[: link.pair_count]
 
     def _between(self, i: int, j: int, epsilon: float, margin: float, steps: dict[int, Any]) -> Near:
         a, b = self._objects[i], self._objects[j]
-        link = self._links.setdefault((i, j), _Link())
+        link = self._links.setdefault((i, j), _Link(Descent(self._resume)))
         moving = self._mode != oriented.UNORIENTED
         skip = np.zeros((0, 0), np.uint8)
         kept = None
@@ -287,31 +286,18 @@ class DopScene:
             reach + 2.0 * self.lazy, 1.0 if moving and a.seen_ways.any() else 0.0,
         )  # fmt: skip
         start = np.zeros((1, 2), np.int64)
-        if self._resume:
-            if len(link.room) == 0:
-                link.room = np.zeros((4096, 2), np.int64)
-            if link.stops is not None and link.age < self._period:
-                start = link.stops
-        while True:
-            found, stopped, overflow = dop_traversal.traverse(
-                a.tree, b.tree, 1 if same else 0, a.seen, a.lengths, rules, skip, start, link.stack, link.pairs, link.room,
-                self._counts,
-            )  # fmt: skip
-            if overflow:
-                link.stack = np.zeros((2 * len(link.stack), 2), np.int64)
-            elif found > len(link.pairs):
-                link.pairs = np.zeros((int(1.3 * found) + 64, 2), np.int32)
-            elif stopped > len(link.room) > 0:
-                link.room = np.zeros((int(1.3 * stopped) + 64, 2), np.int64)
-            else:
-                break
+        if self._resume and link.stops is not None and link.age < self._period:
+            start = link.stops
+        found, stopped = link.descent.run(
+            a.tree, b.tree, 1 if same else 0, a.seen, a.lengths, rules, skip, start, counts=self._counts
+        )
         for name, count in zip(_COUNTS, self._counts.tolist()):
             self.counters[name] += count
         if self._resume:
             link.age = 1 if len(start) == 1 else link.age + 1
-            link.stops = link.room[:stopped].copy()
+            link.stops = link.descent.stops[:stopped].copy()
         link.pair_count = found
-        return link.pairs[:found]
+        return link.descent.pairs[:found]
 
     def _wanted(self, i: int, j: int) -> int:
         """Kinds to look for, as bits."""
@@ -367,7 +353,9 @@ class DopScene:
             rows, columns = np.triu_indices(m) if i == j else np.divmod(np.arange(m * n), n)
             pairs = np.ascontiguousarray(np.stack([rows, columns], axis=1), np.int32)
             spent = self.counters["primitive_tests"]
-            found[i, j] = self._exact(_Link(), a, b, i == j, epsilon, 0.0, pairs, 3 if i == j else 7, True)
+            found[i, j] = self._exact(
+                _Link(Descent(False)), a, b, i == j, epsilon, 0.0, pairs, 3 if i == j else 7, True
+            )
             self.counters["primitive_tests"] = spent
         return found
 

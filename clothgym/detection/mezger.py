@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
+from clothgym.detection.descent import Descent
 from clothgym.detection.dop_tree import DopTree, components
 from clothgym.detection.dop_view import DopView, Kept
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import dop_pairs, dop_traversal
+from clothgym.kernels import dop_pairs
 from clothgym.mesh import Surface
 
 _KINDS = ("vertex_face", "edge_edge", "edge_face")
@@ -56,9 +57,7 @@ class MezgerHierarchy:
         self.surface, self.fidelity = surface, fidelity
         self._first = self._built(vertices[surface.faces] if places is None else places, vertices)
         self._first_size = dop_pairs.tree_size(self._first.tree, vertices)
-        self._stack = np.zeros((4096, 2), np.int64)
-        self._pairs: IntArray = np.zeros((4096, 2), np.int32)
-        self._stops = np.zeros((4096 if fidelity.separation_list else 0, 2), np.int64)
+        self._descent = Descent(fidelity.separation_list > 0)
         self._keys = [np.zeros(4096, np.int64) for _ in _KINDS]
         self._columns = (len(surface.faces), len(surface.edges), len(surface.faces))
         self._tests = np.zeros(8, np.int64)
@@ -130,32 +129,22 @@ class MezgerHierarchy:
         return self.edge_face[: self.counts[2]]
 
     def _traverse(self, view: DopView, skip: Any) -> int:
-        """Number of pairs of faces, which are in `_pairs`, whose boxes overlap and that nothing excludes."""
+        """Number of pairs of faces, which are in `_descent`, whose boxes overlap and that nothing excludes."""
         start = view.first_pairs(self.fidelity.separation_list)
-        while True:
-            found, stopped, overflow = dop_traversal.traverse(
-                view.tree, view.tree, 1, view.seen, self._tree.lengths, view.rules, skip, start, self._stack, self._pairs,
-                self._stops, self._tests,
-            )  # fmt: skip
-            if overflow:
-                self._stack = np.zeros((2 * len(self._stack), 2), np.int64)
-            elif found > len(self._pairs):
-                self._pairs = np.zeros((int(1.3 * found) + 64, 2), np.int32)
-            elif stopped > len(self._stops) > 0:
-                self._stops = np.zeros((int(1.3 * stopped) + 64, 2), np.int64)
-            else:
-                break
+        found, stopped = self._descent.run(
+            view.tree, view.tree, 1, view.seen, self._tree.lengths, view.rules, skip, start, counts=self._tests
+        )
         for name, count in zip(_COUNTS, self._tests.tolist()):
             self.counters[name] += count
         self.counts[3] = self._tests[0]
         if self.fidelity.separation_list:
-            view.stops = self._stops[:stopped].copy()
-        return int(found)
+            view.stops = self._descent.stops[:stopped].copy()
+        return found
 
     def _expand(self, view: DopView, found: int, near: bool, hits: bool) -> None:
         while True:
             dop_pairs.expand(
-                self._pairs, found, self.surface.arrays, view.wide_ways, near, hits, *self._keys, self.counts
+                self._descent.pairs, found, self.surface.arrays, view.wide_ways, near, hits, *self._keys, self.counts
             )
             small = [n for n in range(3) if (hits if n == 2 else near) and self.counts[n] > len(self._keys[n])]
             if not small:

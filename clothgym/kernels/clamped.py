@@ -55,9 +55,8 @@ def share_room(p, contacts, count, clamped, push):
     nothing. Of all contacts of a vertex the one that lacks most, and the one across from it that lacks most, share what both
     lack; p (V, 3) changes at vertices in clamped (V,); push (V, 8) is scratch.
     """
+    push[:] = 0.0
     for turn in range(2):
-        if turn == 0:
-            push[:] = 0.0
         for n in range(count):
             if contacts.pressed[n] <= 0.0 or contacts.limit[n] < math.inf:
                 continue

@@ -37,9 +37,7 @@ class Clusters(NamedTuple):
     """
 
     boxes: NDArray[np.float32]  # (B, 6 G, 16) G groups of three axes: three lows, three highs; empty lanes: low > high
-    shapes: NDArray[
-        np.float32
-    ]  # (B, 6, 16) of primitives at rest: plane of a face, start and way of an edge, place of a vertex
+    shapes: NDArray[np.float32]  # (B, 6, 16) at rest: plane of a face, start and way of an edge, place of a vertex
     ids: NDArray[np.int32]  # (B, 4, 16) face, edge or vertex id, then its vertex ids (one repeated); -1 = none
     edge_start: NDArray[np.int32]  # (L + 1,) first edge block of each leaf
     vertex_start: NDArray[np.int32]  # (L + 1,) first vertex block of each leaf
@@ -237,9 +235,9 @@ def _cross(
 ):
     """Pairs of primitives in blocks first .. stop whose box reaches a leaf's, with those in block .. stop_block.
 
-    same: both are the same blocks, so that each pair comes once; least: overlap of boxes that counts; reach: distance to the
-    planes of faces in block .. stop_block that counts, < 0 = none is known; line: first .. stop are edges. Returns how many
-    pairs there are now, and how many blocks were tested.
+    same: both are the same blocks, so that each pair comes once; least: overlap of boxes that counts; reach: distance of the
+    shapes that counts, < 0 = they move; line: first .. stop are edges, else vertices; faces: block .. stop_block are faces,
+    else edges. Returns how many pairs there are now, and how many blocks were tested.
     """
     more = boxes.shape[1] > 6
     zero = np.float32(0.0)

@@ -31,15 +31,7 @@ from typing import NamedTuple
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
-from clothgym.kernels.elastic import project_elastic
-from clothgym.kernels.integrate import (
-    accelerate,
-    add_grip_forces,
-    finish_substep,
-    hold_grips,
-    keep_above_ground,
-    start_grips,
-)
+from clothgym.kernels.integrate import add_grip_forces, finish_substep, xpbd_substep
 from clothgym.kernels.outline import clearance
 
 _LEAST = 0.1
@@ -340,13 +332,7 @@ def xpbd_substeps(
         for i in range(x.shape[0]):
             for c in range(3):
                 kept[i, c] = v[i, c]
-        accelerate(x, v, p, cloth, motion)
-        multipliers[:] = 0.0
-        start_grips(grips)
-        for _ in range(motion.sweeps):
-            project_elastic(p, cloth, motion.dt, multipliers)
-            hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
-            keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
+        xpbd_substep(x, v, p, cloth, radii, motion, ground, grips, multipliers, n)
         if not _stays(p, (n + 1 - base) / horizon, sheets, tube):
             for i in range(x.shape[0]):
                 for c in range(3):

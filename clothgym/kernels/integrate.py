@@ -166,6 +166,18 @@ def add_grip_forces(grips, dt):
             grips.forces[a, c] += grips.multipliers[a, c] / (dt * dt)
 
 
+@device
+def xpbd_substep(x, v, p, cloth, radii, motion, ground, grips, multipliers, n):
+    """Predicts p and sweeps over energies, grips and ground in substep n of a step; x stays, v is accelerated."""
+    accelerate(x, v, p, cloth, motion)
+    multipliers[:] = 0.0
+    start_grips(grips)
+    for _ in range(motion.sweeps):
+        project_elastic(p, cloth, motion.dt, multipliers)
+        hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
+        keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
+
+
 @kernel
 def xpbd_predict(x, v, p, cloth, motion):
     """p = x + dt v after gravity, wind and damping changed v."""
@@ -215,13 +227,7 @@ def hold(x, p, inverse_masses, radii, motion, ground, grips, substep):
 def xpbd_substeps(x, v, p, cloth, radii, motion, ground, grips, multipliers, first, count):
     """`count` substeps of XPBD without contacts between cloths, from substep `first` of the step on."""
     for n in range(first, first + count):
-        accelerate(x, v, p, cloth, motion)
-        multipliers[:] = 0.0
-        start_grips(grips)
-        for _ in range(motion.sweeps):
-            project_elastic(p, cloth, motion.dt, multipliers)
-            hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
-            keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
+        xpbd_substep(x, v, p, cloth, radii, motion, ground, grips, multipliers, n)
         add_grip_forces(grips, motion.dt)
         finish_substep(x, v, p, motion.dt)
 

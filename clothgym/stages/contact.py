@@ -56,9 +56,6 @@ class ContactSubsteps:
         self.pushes = np.zeros((model.vertex_count, 8))
         self.clamped = np.zeros(model.vertex_count, np.bool_)
 
-    def _predict(self, frame: Frame, motion: Motion) -> None:
-        self.step.integrator.predict(frame, motion)
-
     def _solve(self, frame: Frame, motion: Motion, substep: int) -> None:
         s, model = self.step, frame.model
         self.kernels.solve(
@@ -111,7 +108,7 @@ class ContactSubsteps:
         for n in range(base, s.substeps):
             now = time.perf_counter()
             frame.substep = n
-            self._predict(frame, motion)
+            s.integrator.predict(frame, motion)
             now = frame.clock(f"{self.name}: predict", now)
             done = n - base
             late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -25,7 +25,6 @@ class Frame:
         self.predicted: FloatArray = np.zeros((model.vertex_count, 3))
         self.external: FloatArray = np.zeros((0, 3))
         self.body_forces: FloatArray = np.zeros((0, 3))
-        self.last_intersections: Any = None
         self.untangling_passes = 0
         self.clamped = 0
         self.unbalanced = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 
 import numpy as np
 
@@ -56,9 +57,9 @@ class Implicit(Integrator):
     def loose_grips(self, frame: Frame) -> Grips:
         return NO_GRIPS
 
+    @abstractmethod
     def minimise(self, frame: Frame, time: float) -> None:
         """Moves frame.predicted to the least objective; time [s] since the start of the step, for the grips."""
-        raise NotImplementedError
 
     def weigh(self, frame: Frame, gradient: FloatArray) -> None:
         """Books the acceleration of the whole cloth that a solve has left unbalanced, from its gradient (V, 3) [N]."""

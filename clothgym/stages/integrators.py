@@ -5,6 +5,7 @@ An integrator predicts p; grips, contact, ground and body then act on p, and the
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +31,7 @@ NO_GRIPS = Grips(
 """Nothing is held."""
 
 
-class Integrator:
+class Integrator(ABC):
     """Any integrator; `run` and `run_on_body` are as good as `predict` lets them be, and some do better in one kernel.
 
     Attributes:
@@ -48,13 +49,13 @@ class Integrator:
         self.substeps = self._substeps(model, fidelity)
         self.multipliers = np.zeros(0)
 
+    @abstractmethod
     def _substeps(self, model: ClothModel, fidelity: Fidelity) -> int:
         """Parts of a step that the fidelity asks for, or as many as the scene needs if it leaves that open."""
-        raise NotImplementedError
 
+    @abstractmethod
     def predict(self, frame: Frame, motion: Motion) -> None:
         """Writes frame.predicted, and what of the velocities it goes by; frame.substep tells which one it is."""
-        raise NotImplementedError
 
     def loose_grips(self, frame: Frame) -> Grips:
         """The anchors that p does not feel yet: they are projected with the contacts."""
@@ -64,7 +65,7 @@ class Integrator:
         """New positions and velocities from p, after everything has corrected it."""
         integrate.finish(frame.state.positions, frame.state.velocities, frame.predicted, dt)
 
-    def weigh_pushes(self, moved: np.ndarray) -> None:
+    def weigh_pushes(self, moved: np.ndarray) -> None:  # noqa: B027 - most have nothing to weigh
         """Makes of what a body moved (V, 3) [m] what it gave to the momentum, m moved / dt, if `finish` sees that otherwise."""
 
     def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:

@@ -40,6 +40,7 @@ _RANGES = {
     "time_order": (1, 2, True),
     "tolerance": (1e-9, 1e3, False),
     "solver_steps": (0, 10_000, True),
+    "position_modification": (0, 1000, True),
     "stretch_limit": (0.0, 10.0, False),
     "close_angle": (0.0, math.pi, False),
     "leaf_angle": (0.0, math.pi, False),
@@ -100,7 +101,10 @@ class Fidelity:
         solver_steps: after this many steps of Newton or quasi-Newton a solve ends before its tolerance, counted as
             "unconverged"; 0 = 50 for Newton; 5 for "global", which hardly ever reaches a tolerance in so few.
         velocity_modification: against super-elasticity with symplectic Euler: "none", "literal" (the paper), "relative".
-        stretch_limit: strain above which velocity modification acts (the paper: 0.01 to 0.15).
+        position_modification: the older way against super-elasticity [Provot 1995], likewise with symplectic Euler: after
+            every substep, that many sweeps shorten springs that are too long; 0 = none. What the three ways cost and
+            reach, see `clothgym bench tradeoff`.
+        stretch_limit: strain above which velocity or position modification acts (the paper: 0.01 to 0.15).
         detection: "hierarchy" (k-DOP tree of clusters, the fastest), "brute_force" (every pair), or "mezger": the tree of
             [Mezger 2003] with one face a leaf and the techniques below. What they are, see `docs/papers.md`; what they cost and
             miss, `clothgym bench mezger`; what they do, `metrics()["work"]`.
@@ -164,6 +168,7 @@ class Fidelity:
     tolerance: float = 0.05
     solver_steps: int = 0
     velocity_modification: str = "none"
+    position_modification: int = 0
     stretch_limit: float = 0.1
     detection: str = "hierarchy"
     k: int = 18
@@ -222,21 +227,26 @@ class Fidelity:
             object.__setattr__(self, field, check_flag(getattr(self, field), f"fidelity.{field}"))
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {shown(self.untangling)}: expected the name of a strategy")
-        if self.velocity_modification != "none" and self.integrator != "symplectic_euler":
+        for field in ("velocity_modification", "position_modification"):
+            if getattr(self, field) == getattr(Fidelity, field):
+                continue
+            given = f"fidelity.{field} = {getattr(self, field)!r}"
+            if self.integrator != "symplectic_euler":
+                raise ValueError(
+                    f"{given}: works with integrator 'symplectic_euler' only; XPBD limits strain by its constraints"
+                )
+            if self.membrane != "springs":
+                raise ValueError(f"{given}: acts on springs; membrane = {self.membrane!r} has none")
+        if self.velocity_modification != "none" and self.position_modification > 0:
             raise ValueError(
-                f"fidelity.velocity_modification = {self.velocity_modification!r}: works with integrator "
-                "'symplectic_euler' only; XPBD limits strain by its constraints"
+                f"fidelity.position_modification = {self.position_modification}: not together with velocity_modification = "
+                f"{self.velocity_modification!r}; they are two ways to the same end"
             )
         for field, (other, values) in _WORKS_WITH.items():
             if getattr(self, field) != getattr(Fidelity, field) and getattr(self, other) not in values:
                 raise ValueError(
                     f"fidelity.{field} = {getattr(self, field)!r}: works with {other} {' or '.join(map(repr, values))} only"
                 )
-        if self.velocity_modification != "none" and self.membrane != "springs":
-            raise ValueError(
-                f"fidelity.velocity_modification = {self.velocity_modification!r}: acts on springs; membrane = "
-                f"{self.membrane!r} has none"
-            )
 
     @staticmethod
     def preset(name: str) -> Fidelity:

@@ -1,4 +1,4 @@
-"""Slow, obvious references for mechanics and contact: springs, velocity modification, distances, collisions on a path."""
+"""Slow, obvious references for mechanics and contact: springs, strain limiting, distances, collisions on a path."""
 
 from __future__ import annotations
 
@@ -40,6 +40,20 @@ def modify_velocities(x, v, ends, rests, inverse_masses, threshold, relative):
             v[j] -= inverse_masses[j] * impulse * n
     v[inverse_masses == 0.0] = 0.0
     return v
+
+
+def modify_positions(p, ends, rests, inverse_masses, threshold, sweeps):
+    """Positions after position modification, spring by spring: what is too long gets its greatest length."""
+    p = p.copy()
+    for _ in range(sweeps):
+        for (i, j), rest in zip(ends, rests, strict=True):
+            d = p[j] - p[i]
+            length, longest = np.linalg.norm(d), (1.0 + threshold) * rest
+            weight = inverse_masses[i] + inverse_masses[j]
+            if length > longest and weight > 0.0:
+                p[i] += inverse_masses[i] / weight * (length - longest) * d / length
+                p[j] -= inverse_masses[j] / weight * (length - longest) * d / length
+    return p
 
 
 def symplectic_euler(x, v, ends, rests, stiffness, inverse_masses, gravity, damping, dt):

@@ -560,6 +560,7 @@ KNOBS = {
     "tolerance": (pile, IMPLICIT, 1e-4, 2, "state"),
     "solver_steps": (pile, IMPLICIT, 1, 2, "state"),
     "velocity_modification": (pile, STEEP, "literal", 2, "state"),
+    "position_modification": (pile, dataclasses.replace(EULER, stretch_limit=0.0), 2, 2, "state"),
     "stretch_limit": (pile, STEEP, 0.2, 2, "state"),
     "detection": (pile, CONTACT, "brute_force", 0, "work"),
     "k": (pile, SEARCH, 26, 0, "boxes"),

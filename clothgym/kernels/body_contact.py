@@ -17,7 +17,7 @@ from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import (
     accelerate,
     add_grip_forces,
-    euler_velocities,
+    euler_positions,
     finish_substep,
     hold_grips,
     keep_above_ground,
@@ -240,10 +240,7 @@ def euler_substeps_on_body(x, v, p, f, cloth, radii, motion, ground, grips, cont
     """`integrate.euler_substeps` with a body."""
     w = cloth.inverse_masses
     for n in range(count):
-        euler_velocities(x, v, f, cloth, motion)
-        for i in range(x.shape[0]):
-            for c in range(3):
-                p[i, c] = x[i, c] + motion.dt * v[i, c]
+        euler_positions(x, v, p, f, cloth, motion)
         begin_contact(x, p, contact)
         grips.multipliers[:] = 0.0
         hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
 from clothgym.kernels.elastic import add_elastic_forces, project_elastic
+from clothgym.kernels.position_modification import modify_positions
 from clothgym.kernels.springs import ClothArrays
 from clothgym.kernels.velocity_modification import modify_velocities
 
@@ -39,8 +40,9 @@ class Motion(NamedTuple):
     gravity: NDArray  # (3,) [m/s^2]
     damping: float  # [1/s]
     external: NDArray  # (V, 3) or (0, 3): acceleration from wind [m/s^2]
-    stretch_limit: float  # velocity modification threshold, < 0 = off
+    stretch_limit: float  # strain above which velocities or positions are modified, < 0 = off
     relative: bool
+    corrections: int = 0  # sweeps of position modification; 0 = velocities are modified
 
 
 class Ground(NamedTuple):
@@ -137,13 +139,24 @@ def euler_velocities(x, v, f, cloth, motion):
             if wind:
                 a += motion.external[i, c]
             v[i, c] += motion.dt * a
-    if motion.stretch_limit >= 0.0:
+    if motion.stretch_limit >= 0.0 and motion.corrections == 0:
         modify_velocities(x, v, cloth, motion.stretch_limit, motion.relative)
     for i in range(x.shape[0]):
         if cloth.inverse_masses[i] == 0.0:
             v[i, 0] = 0.0
             v[i, 1] = 0.0
             v[i, 2] = 0.0
+
+
+@device
+def euler_positions(x, v, p, f, cloth, motion):
+    """p at the end of a substep of symplectic Euler [Vassilev 2001, eq. 3], without grips, ground and contact."""
+    euler_velocities(x, v, f, cloth, motion)
+    for i in range(x.shape[0]):
+        for c in range(3):
+            p[i, c] = x[i, c] + motion.dt * v[i, c]
+    if motion.corrections > 0:
+        modify_positions(p, cloth, motion.stretch_limit, motion.corrections)
 
 
 @device
@@ -186,11 +199,8 @@ def xpbd_predict(x, v, p, cloth, motion):
 
 @kernel
 def euler_predict(x, v, p, f, cloth, motion):
-    """p = x + dt v after spring forces and velocity modification changed v [Vassilev 2001, eq. 3]."""
-    euler_velocities(x, v, f, cloth, motion)
-    for i in range(x.shape[0]):
-        for c in range(3):
-            p[i, c] = x[i, c] + motion.dt * v[i, c]
+    """p = x + dt v after spring forces and velocity modification changed v; position modification changes p."""
+    euler_positions(x, v, p, f, cloth, motion)
 
 
 @kernel
@@ -236,10 +246,7 @@ def xpbd_substeps(x, v, p, cloth, radii, motion, ground, grips, multipliers, fir
 def euler_substeps(x, v, p, f, cloth, radii, motion, ground, grips, first, count):
     """`count` substeps of symplectic Euler without contacts between cloths."""
     for n in range(first, first + count):
-        euler_velocities(x, v, f, cloth, motion)
-        for i in range(x.shape[0]):
-            for c in range(3):
-                p[i, c] = x[i, c] + motion.dt * v[i, c]
+        euler_positions(x, v, p, f, cloth, motion)
         start_grips(grips)
         hold_grips(p, cloth.inverse_masses, grips, motion.dt, (n + 1) * motion.dt)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)

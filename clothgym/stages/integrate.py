@@ -22,7 +22,9 @@ class Step:
         self.substeps = self.integrator.substeps
         self.sweeps = self.integrator.sweeps
         self.dt = scene.step / self.substeps
-        self.limit = fidelity.stretch_limit if fidelity.velocity_modification != "none" else -1.0
+        self.corrections = fidelity.position_modification
+        limited = fidelity.velocity_modification != "none" or self.corrections > 0
+        self.limit = fidelity.stretch_limit if limited else -1.0
         self.relative = fidelity.velocity_modification == "relative"
         self.gravity = np.asarray(scene.gravity, float)
         self.damping = model.damping
@@ -33,11 +35,15 @@ class Step:
         self.label = f"{fidelity.integrator} {self.substeps}x{shown}"
         if self.integrator.remark:
             self.label += f" for {self.integrator.remark}"
-        if self.limit >= 0:
+        if self.corrections > 0:
+            self.label += f", position modification x{self.corrections} above {self.limit:g}"
+        elif self.limit >= 0:
             self.label += f", velocity modification {fidelity.velocity_modification} above {self.limit:g}"
 
     def motion(self, frame: Frame) -> Motion:
-        return Motion(self.dt, self.sweeps, self.gravity, self.damping, frame.external, self.limit, self.relative)
+        return Motion(
+            self.dt, self.sweeps, self.gravity, self.damping, frame.external, self.limit, self.relative, self.corrections
+        )  # fmt: skip
 
 
 class Integrate:

@@ -48,7 +48,7 @@ def longest(sim: cg.Simulation) -> float:
 
 
 def test_a_soft_column_keeps_to_the_limit_with_enough_sweeps():
-    """A hanging ladder so soft that its weight alone stretches it by 0.6: each sweep passes the excess on to the next spring."""
+    """A hanging ladder so soft that its weight alone stretches it by 0.6: each sweep passes the excess on to the next."""
     found = {}
     for sweeps in (0, 1, 64):
         sim = cg.Simulation(

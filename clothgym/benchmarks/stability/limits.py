@@ -36,7 +36,7 @@ _BURST = 100.0
 """Strain above which a run has burst."""
 
 
-class _Unguarded(ClothModel):
+class Unguarded(ClothModel):
     """A model that does not refuse time steps beyond the limit, to find out where it lies."""
 
     def safe_time_step(self) -> float:
@@ -92,7 +92,7 @@ def outcome(
     """Peak energy over that of the start, and peak strain, in so many substeps of `dt`; infinite when it diverged."""
     chunk = 20
     timed = dataclasses.replace(scene, step=chunk * dt)
-    model = _Unguarded(timed)
+    model = Unguarded(timed)
     pipeline = assemble(model, dataclasses.replace(fidelity, substeps=chunk))
     sim = cg.Simulation(timed, cg.Fidelity())  # for a state of the right shape
     state = sim.snapshot()
@@ -152,4 +152,4 @@ def run(grid: str, amplitude: float, modification: str, damping: float, integrat
     }
 
 
-__all__ = ["GRIDS", "PAPER", "euler_limit", "grid_scene", "lambda_max", "outcome", "run", "unit"]
+__all__ = ["GRIDS", "PAPER", "Unguarded", "euler_limit", "grid_scene", "lambda_max", "outcome", "run", "unit"]

@@ -142,11 +142,15 @@ MATERIALS: dict[str, Material] = {
         density=0.168, stretch=1.88e3, shear=26.17, weft=1671.0, warp=2133.0, coupling=0.0, shear_modulus=26.17,
         bending=5.02e-6, bending_warp=5.56e-6,
     ),
+    "twill": Material(
+        density=0.22, stretch=1973.6, shear=52.4, weft=2017.0, warp=2035.0, coupling=9.17, shear_modulus=52.4,
+        bending=3.14e-5,
+    ),
 }  # fmt: skip
 """Named fabrics; docs/materials.md says of each value whether it was measured, and by whom, or chosen.
 
-Spring constants of cotton, silk and denim are chosen to look right at cells of 1 to 5 cm; those of wool are the equivalents
-of its moduli."""
+Spring constants of cotton, silk and denim are chosen to look right at cells of 1 to 5 cm; those of wool and twill are the
+equivalents of their moduli."""
 
 
 def get(material: str | Material) -> Material:

@@ -97,8 +97,9 @@ def follow(sim: cg.Simulation, seconds: float) -> Trajectory:
     stored = start - metrics.gravity_energy(model, sim.positions)
     looks = scene.self_collision or bool(scene.bodies)
     seen: list[tuple[FloatArray, float, float, float, float]] = []
-    contours, deepest, flags, spent = [sim.last_intersections.length if looks else 0.0], 0.0, set(), 0.0
-    ended = None
+    contours = [sim.last_intersections.length if looks else 0.0]
+    flags: set[str] = set()
+    deepest, spent, ended = 0.0, 0.0, None
     every = _LOOK_EVERY_TANGLED if contours[0] > 0.0 else _LOOK_EVERY
     frames = round(seconds / scene.step)
     for frame in range(frames):
@@ -126,11 +127,20 @@ def follow(sim: cg.Simulation, seconds: float) -> Trajectory:
         if ended:
             break
     flags.update(flag.split()[0] for flag in sim.flags())
-    columns = [np.array(column) for column in zip(*seen)] or [np.zeros((0, model.vertex_count, 3)), *[np.zeros(0)] * 4]
     return Trajectory(
-        *columns, deepest, np.array(contours), sim.last_intersections.hit_count if looks else 0, sorted(flags), ended,
-        1e3 * spent, dict(sim.metrics()["work"]),
-    )  # fmt: skip
+        positions=np.array([row[0] for row in seen]).reshape(-1, model.vertex_count, 3),
+        stretch=np.array([row[1] for row in seen]),
+        stretch_p99=np.array([row[2] for row in seen]),
+        heights=np.array([row[3] for row in seen]),
+        energies=np.array([row[4] for row in seen]),
+        penetration=deepest,
+        contours=np.array(contours),
+        hits=sim.last_intersections.hit_count if looks else 0,
+        flags=sorted(flags),
+        ended=ended,
+        milliseconds=1e3 * spent,
+        work=dict(sim.metrics()["work"]),
+    )
 
 
 def fidelity_of(fields: dict[str, Any], scene: cg.Scene) -> cg.Fidelity:
@@ -191,7 +201,7 @@ def run(subject: str, fields: dict[str, Any]) -> dict[str, Any]:
     except ValueError as error:
         return {"refused": " ".join(str(error).split())}
     found = follow(sim, it.seconds)
-    step = sim.pipeline.stages[-1]
+    step: Any = sim.pipeline.stages[-1]
     result = {
         **_summary(found, it.seconds),
         "refused": "",

@@ -47,8 +47,9 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
     by_label = {point.label: point for point in own}
     figure, panels = plt.subplots(1, 2, figsize=(13.5, 5.6), constrained_layout=True)
     for number, (axes, error) in enumerate(zip(panels, errors)):
-        values = [point.errors[number] for point in own if point.errors[number] > 0.0]
-        least = 0.6 * min(values, default=1e-3)
+        # what is right to rounding must not stretch the picture over fifteen powers of ten
+        values = [max(point.errors[number], limits[number]) for point in own if point.errors[number] > 0.0]
+        least = max(0.6 * min(values, default=1e-3), 1e-4 * max(values, default=1.0))
         for row in of_kind(rows, "run", name):
             p = row["parameters"]
             if p["label"] in by_label:
@@ -60,7 +61,7 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
             axes.axhspan(0.5 * least, limits[number], color="0.92", zorder=0)
             axes.text(
                 0.99, limits[number], "below: the reference cannot tell", fontsize=7.5, color="0.4", ha="right",
-                va="top", transform=axes.get_yaxis_transform(),
+                va="top", transform=axes.get_yaxis_transform(), clip_on=True,
             )  # fmt: skip
         _logarithmic(axes)
         axes.set_ylim(bottom=0.7 * least)
@@ -127,7 +128,8 @@ def _draw(axes: Any, parameters: dict[str, Any], point: Point, number: int, leas
 def _draw_front(axes: Any, best: Sequence[Point], number: int, least: float) -> None:
     if not best:
         return
-    xs, ys = [], []
+    xs: list[float] = []
+    ys: list[float] = []
     for point in best:
         y = max(point.errors[number], least)
         if xs:

@@ -72,7 +72,7 @@ def _titled(error: Error) -> str:
 
 def _preset_table(rows: Sequence[Row], names: Sequence[str]) -> Table:
     """What each preset and target costs and misses, and what beats it."""
-    cells = []
+    cells: list[tuple[Any, ...]] = []
     for name in names:
         own, limits = points(rows, name), floors(rows, name)
         for row in of_kind(rows, "run", name):
@@ -136,9 +136,9 @@ def _reference_table(rows: Sequence[Row]) -> Table:
         "rms distance [mm]", "largest distance [mm]", "height [mm]",
     )  # fmt: skip
     note = (
-        "Converged runs: Runge-Kutta for hanging sheets, XPBD at high effort with contact. Uncertain: distance to another run at "
-        "high effort (XPBD of 24 substeps a cell; fewer substeps), which cannot be told from an error. Positions and heights "
-        "until the horizon: "
+        "Converged runs: Runge-Kutta for hanging sheets, XPBD at high effort with contact. Uncertain: distance to another run "
+        "at high effort (XPBD of 24 substeps a cell; fewer substeps), which cannot be told from an error. Positions and "
+        "heights until the horizon: "
         + ", ".join(f"{name} {it.horizon:g} s" for name, it in SUBJECTS.items() if it.reference)
         + "."
     )

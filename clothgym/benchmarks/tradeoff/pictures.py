@@ -57,7 +57,7 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
         # below the floor nothing can be told apart: the cheapest there ends the front
         clamped = [Point(p.label, p.cost, tuple(map(max, p.errors, limits))) for p in own]
         _draw_front(axes, front(clamped, number), number, least)
-        if limits[number] > 0.0:
+        if limits[number] > 0.7 * least:
             axes.axhspan(0.5 * least, limits[number], color="0.92", zorder=0)
             axes.text(
                 0.99, limits[number], "below: the reference cannot tell", fontsize=7.5, color="0.4", ha="right",
@@ -179,6 +179,8 @@ def _plot_strain(rows: Sequence[Row], path: Path) -> Path:
         axes.text(0.99, 10.4, "limit", fontsize=7.5, color="0.4", ha="right", transform=axes.get_yaxis_transform())
         _logarithmic(axes)
         axes.set_xlim(right=axes.get_xlim()[1] * 1.8)
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, 5.0), max(high, 20.0))
         axes.set_xlabel("cost [ms of one core per simulated second]")
         axes.set_ylabel("largest stretch at the end [%]")
         axes.set_title(titles.get(place, place), fontsize=10)

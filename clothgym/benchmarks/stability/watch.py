@@ -23,18 +23,22 @@ FROZEN = 0.05
 """Least share of the fall that gravity and damping alone allow (at most a fifth of the size)."""
 
 
-def variants(everything: bool = True) -> dict[str, dict[str, str]]:
+def variants(everything: bool = True) -> dict[str, dict[str, Any]]:
     """Name -> fields of `Fidelity`: every integrator there is with every velocity modification that it takes, and every
-    choice of how cloth resists strain beside the usual one; those with the first integrator only, or with everything."""
+    choice of how cloth resists strain beside the usual one; those with the first integrator only, or with everything;
+    with everything position modification too."""
     usual = fidelities.Fidelity()
-    found: dict[str, dict[str, str]] = {}
+    found: dict[str, dict[str, Any]] = {}
     for integrator in fidelities.INTEGRATORS:
         for modification in fidelities.VELOCITY_MODIFICATIONS:
-            fields = {"integrator": integrator}
+            fields: dict[str, Any] = {"integrator": integrator}
             if modification != usual.velocity_modification:
                 fields["velocity_modification"] = modification
             if _possible(fields):
                 found[" ".join(fields.values())] = fields
+        sweeps = {"integrator": integrator, "position_modification": 4}
+        if everything and _possible(sweeps):
+            found[f"{integrator} position"] = sweeps
         for field, choices in _MODELS.items():
             for choice in getattr(fidelities, choices, ()) if everything or integrator == usual.integrator else ():
                 fields = {"integrator": integrator, field: choice}

@@ -21,6 +21,11 @@ class Point:
     errors: tuple[float, ...]
 
 
+def clamped(points: Sequence[Point], floors: Sequence[float]) -> list[Point]:
+    """The same with errors that are not below their floors, one each: there nothing can be told apart."""
+    return [Point(point.label, point.cost, tuple(map(max, point.errors, floors))) for point in points]
+
+
 def front(points: Sequence[Point], error: int) -> list[Point]:
     """The points that no other beats in both cost and one error, from the cheapest on."""
     kept: list[Point] = []

@@ -8,7 +8,7 @@ from typing import Any
 
 from clothgym.benchmarks.frame import Row
 from clothgym.benchmarks.machine import pyplot
-from clothgym.benchmarks.tradeoff.front import Point, front
+from clothgym.benchmarks.tradeoff.front import Point, clamped, front
 from clothgym.benchmarks.tradeoff.show import floors, of_kind, points, subjects_in
 from clothgym.benchmarks.tradeoff.subjects import SUBJECTS
 
@@ -54,9 +54,7 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
             p = row["parameters"]
             if p["label"] in by_label:
                 _draw(axes, p, by_label[p["label"]], number, least)
-        # below the floor nothing can be told apart: the cheapest there ends the front
-        clamped = [Point(p.label, p.cost, tuple(map(max, p.errors, limits))) for p in own]
-        _draw_front(axes, front(clamped, number), number, least)
+        _draw_front(axes, front(clamped(own, limits), number), number, least)
         if limits[number] > 0.7 * least:
             axes.axhspan(0.5 * least, limits[number], color="0.92", zorder=0)
             axes.text(
@@ -65,6 +63,7 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
             )  # fmt: skip
         _logarithmic(axes)
         axes.set_ylim(bottom=0.7 * least)
+        axes.set_xlim(left=0.55 * axes.get_xlim()[0])
         axes.set_xlabel("cost [ms of one core per simulated second]   ← cheaper")
         axes.set_ylabel(f"{error.text} [{error.unit}]")
     _tell_missing(panels[1], of_kind(rows, "run", name), by_label)
@@ -117,7 +116,7 @@ def _draw(axes: Any, parameters: dict[str, Any], point: Point, number: int, leas
         )  # fmt: skip
     elif group == "target":
         axes.plot(x, y, "D", ms=6, color="white", mec="k", mew=1.1, zorder=5, label="promise of for_error")
-        axes.annotate(label, (x, y), (7, -11), textcoords="offset points", fontsize=7.5, zorder=7)
+        axes.annotate(label, (x, y), (-7, -4), textcoords="offset points", fontsize=7.5, ha="right", va="top", zorder=7)
     elif group == "field":
         axes.plot(x, y, "x", ms=5, color=_FIELD_COLOUR, mew=1.2, zorder=3, label="a preset with one field changed")
     else:

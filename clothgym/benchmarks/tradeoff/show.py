@@ -8,7 +8,7 @@ from typing import Any
 from clothgym.benchmarks.frame import Row
 from clothgym.benchmarks.report import Table
 from clothgym.benchmarks.tradeoff import strain
-from clothgym.benchmarks.tradeoff.front import Point, beaten_by, front
+from clothgym.benchmarks.tradeoff.front import Point, beaten_by, clamped, front
 from clothgym.benchmarks.tradeoff.subjects import SUBJECTS, Error
 
 _WORK = ("box_tests", "face_pairs", "contacts", "rebuilds", "iterations", "unconverged", "untangling_passes")
@@ -111,11 +111,16 @@ def _preset_table(rows: Sequence[Row], names: Sequence[str]) -> Table:
 
 def _front_table(rows: Sequence[Row], name: str) -> Table:
     own, errors = points(rows, name), SUBJECTS[name].errors
-    cells = []
+    fronts: dict[str, list[str]] = {}
     for number, error in enumerate(errors):
-        for point in front(own, number):
-            cells.append((error.name, point.label, point.cost, *point.errors))
-    columns = ("front of", "setting", "ms per simulated second", *(_titled(error) for error in errors))
+        for point in front(clamped(own, floors(rows, name)), number):
+            fronts.setdefault(point.label, []).append(error.name)
+    cells = [
+        (point.label, point.cost, *point.errors, ", ".join(fronts[point.label]))
+        for point in sorted(own, key=lambda point: point.cost)
+        if point.label in fronts
+    ]
+    columns = ("setting", "ms per simulated second", *(_titled(error) for error in errors), "on the front of")
     return Table(f"Front: {name}", columns, cells, SUBJECTS[name].text)
 
 

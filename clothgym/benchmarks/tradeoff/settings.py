@@ -89,14 +89,14 @@ def _solvers_in_contact(quick: bool) -> list[Setting]:
 _FIELDS: dict[str, dict[str, tuple[Any, ...]]] = {
     "sheet": {"precision": ("float32",)},
     "ball": {
-        "map_size": (45, 90, 180, 720),
-        "body_faces": (0, 1, 2, 4),
+        "map_size": (45, 90, 180, 360, 720),
+        "body_faces": (0, 1, 2, 3, 4),
         "body_normals": ("interpolated",),
         "body_response": ("velocity",),
         "contact_substeps": (2, 4, 16),
         "sweeps": (2, 4, 16),
     },
-    "table": {"map_size": (90, 180, 720), "body_faces": (0, 1, 2, 4), "contact_substeps": (4, 16)},
+    "table": {"map_size": (90, 180, 360, 720), "body_faces": (0, 1, 2, 3, 4), "contact_substeps": (4, 16)},
     "drop": {
         "k": (6, 8, 14, 26),
         "arity": (2, 8),

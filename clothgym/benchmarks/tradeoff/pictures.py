@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -50,10 +51,11 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
         # what is right to rounding must not stretch the picture over fifteen powers of ten
         values = [max(point.errors[number], limits[number]) for point in own if point.errors[number] > 0.0]
         least = max(0.6 * min(values, default=1e-3), 1e-4 * max(values, default=1.0))
+        named: list[tuple[float, float]] = []
         for row in of_kind(rows, "run", name):
             p = row["parameters"]
             if p["label"] in by_label:
-                _draw(axes, p, by_label[p["label"]], number, least)
+                _draw(axes, p, by_label[p["label"]], number, least, named)
         _draw_front(axes, front(clamped(own, limits), number), number, least)
         if limits[number] > 0.7 * least:
             axes.axhspan(0.5 * least, limits[number], color="0.92", zorder=0)
@@ -63,7 +65,8 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
             )  # fmt: skip
         _logarithmic(axes)
         axes.set_ylim(bottom=0.7 * least)
-        axes.set_xlim(left=0.55 * axes.get_xlim()[0])
+        left, right = axes.get_xlim()
+        axes.set_xlim(0.45 * left, 1.7 * right)  # room for names
         axes.set_xlabel("cost [ms of one core per simulated second]   ← cheaper")
         axes.set_ylabel(f"{error.text} [{error.unit}]")
     _tell_missing(panels[1], of_kind(rows, "run", name), by_label)
@@ -104,10 +107,18 @@ def _tell_missing(axes: Any, rows: Sequence[Row], shown: dict[str, Point]) -> No
         )  # fmt: skip
 
 
-def _draw(axes: Any, parameters: dict[str, Any], point: Point, number: int, least: float) -> None:
-    """A setting as a mark: presets as stars with their names, promises as diamonds, solvers by colour, fields small."""
+def _draw(
+    axes: Any, parameters: dict[str, Any], point: Point, number: int, least: float, named: list[tuple[float, float]]
+) -> None:
+    """A setting as a mark: presets as stars with their names, promises as diamonds, solvers by colour, fields small.
+
+    Places that have a name already are in `named`: a promise there gets none.
+    """
     x, y = point.cost, max(point.errors[number], least)
     group, label = parameters["group"], parameters["label"]
+    taken = any(abs(math.log(x / a)) < 0.15 and abs(math.log(y / b)) < 0.15 for a, b in named)
+    if group in ("preset", "target"):
+        named.append((x, y))
     if group == "preset":
         axes.plot(x, y, "*", ms=19, color=_PRESETS[label], mec="k", mew=0.9, zorder=6, label=f"preset {label}")
         axes.annotate(
@@ -116,7 +127,10 @@ def _draw(axes: Any, parameters: dict[str, Any], point: Point, number: int, leas
         )  # fmt: skip
     elif group == "target":
         axes.plot(x, y, "D", ms=6, color="white", mec="k", mew=1.1, zorder=5, label="promise of for_error")
-        axes.annotate(label, (x, y), (-7, -4), textcoords="offset points", fontsize=7.5, ha="right", va="top", zorder=7)
+        if not taken:
+            axes.annotate(
+                label, (x, y), (-7, -4), textcoords="offset points", fontsize=7.5, ha="right", va="top", zorder=7
+            )
     elif group == "field":
         axes.plot(x, y, "x", ms=5, color=_FIELD_COLOUR, mew=1.2, zorder=3, label="a preset with one field changed")
     else:

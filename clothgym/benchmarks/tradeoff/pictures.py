@@ -71,7 +71,7 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
         axes.set_ylabel(f"{error.text} [{error.unit}]")
     _tell_missing(panels[1], of_kind(rows, "run", name), by_label)
     figure.suptitle(
-        f"{name}: {SUBJECTS[name].text}\nlower left is better; the black line joins what nothing else beats",
+        f"{name}: {SUBJECTS[name].text}\nlower left is better; the black line joins what nothing else beats; zero is drawn at the bottom",
         fontsize=11,
     )
     handles, labels = _legend(panels)
@@ -217,9 +217,8 @@ def _draw_arm(axes: Any, arm: str, result: dict[str, Any]) -> None:
         axes.plot(*zip(*ends), "-", color=colour, lw=0.8, alpha=0.6)
     if ends:
         below = arm.startswith(("(b)", "xpbd")) or arm == "soft springs"
-        axes.annotate(
-            arm, ends[0], (4, -12 if below else 5), textcoords="offset points", fontsize=7.5, color=colour, zorder=5
-        )
+        lower = (-22 if "4 sweeps" in arm else -12) if below else 5
+        axes.annotate(arm, ends[0], (4, lower), textcoords="offset points", fontsize=7.5, color=colour, zorder=5)
 
 
 def _arm_colour(arm: str) -> str:

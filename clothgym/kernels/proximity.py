@@ -1,7 +1,7 @@
 """Pairs of primitives that are near, or may come near within a step: vertex-triangle and edge-edge.
 
-Candidates are pairs of ids whose boxes overlap (`cluster_pairs.overlapping_pairs`). Pairs for contact are "quads" of four vertex ids:
-kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
+Candidates are pairs of ids whose boxes overlap (`cluster_pairs.overlapping_pairs`). Pairs for contact are "quads" of four
+vertex ids: kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
 """
 
 from __future__ import annotations

@@ -134,7 +134,7 @@ def _clusters(surface: Surface, order: NDArray[np.int64], rows: int, arity: int)
 def _aligned(shape: tuple[int, ...], kind: type) -> NDArray[Any]:
     """An array whose rows of 16 lie in one cache line each."""
     count = int(np.prod(shape))
-    room = np.empty(count + clusters.LANES, kind)
+    room: NDArray[Any] = np.empty(count + clusters.LANES, kind)
     first = -(room.ctypes.data // room.itemsize) % clusters.LANES
     return room[first : first + count].reshape(shape)
 

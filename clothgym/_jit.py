@@ -101,6 +101,11 @@ def device(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(**flags)(function)
 
 
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A device function whose code is copied into its callers: for innermost loops, where a call costs a fifth of the time."""
+    return numba.njit(inline="always", **flags)(function)
+
+
 def compiled_count() -> tuple[int, int]:
     """How many kernels have machine code in this process, and how many there are."""
     return sum(1 for k in kernels if k.signatures), len(kernels)

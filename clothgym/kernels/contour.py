@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
 from clothgym.kernels.primitives import edge_hits_triangle
 from clothgym.kernels.vec3 import cross, dot, length, triangle_normal, unit
 
@@ -19,7 +19,7 @@ _KAPPA_EPS2 = 1e-6
 """(E.N)^2 below about this no longer steers: kappa = (E.S)(E.N) / ((E.N)^2 + eps^2) keeps its sign and stays finite."""
 
 
-@device
+@inlined
 def _look_at(x, e0, e1, a0, a1, a2):
     """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
     predicates.

@@ -42,8 +42,9 @@ class Pipeline:
 
     def forget(self) -> None:
         """Drops what the detection keeps from step to step; results do not depend on it, work counters do."""
-        if hasattr(self.detector, "forget"):
-            self.detector.forget()
+        for part in (self.detector, *self.stages):
+            if hasattr(part, "forget"):
+                part.forget()
 
     def describe(self) -> str:
         """One line per stage: name, what it reads and writes."""

@@ -93,6 +93,8 @@ def test_techniques_in_the_simulation(monkeypatch):
         assert row["near"] > 100 and row["hits"] > 10 and 0.0 < row["detection"] < row["step"]
     assert rows["unoriented"]["missed"] > 0
     assert rows["plain"]["box_tests"] > rows["cones exact"]["box_tests"] > 0
-    (table,) = mezger.tables([{"parameters": {"what": "simulation", "scene": "layers"}, "result": result}])
-    assert len(table.rows) == len(rows) and len(table.rows[0]) == len(table.columns)
+    times, counts = mezger.tables([{"parameters": {"what": "simulation", "scene": "layers"}, "result": result}])
+    for table in (times, counts):
+        assert [cells[0] for cells in table.rows] == list(rows)
+        assert {len(cells) for cells in table.rows} == {len(table.columns)}
     json.dumps(json_ready(result))

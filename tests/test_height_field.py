@@ -296,7 +296,7 @@ def test_two_loops_that_run_the_same_way_are_two_layers():
     faces = np.array(faces).reshape(-1, 3)
     x = np.array([[at[0] / 8, 0.0, at[1] / 8] for at, _ in points])
     fields = HeightFields(cg.Surface(faces, len(x)), np.full(len(x), REACH))
-    assert fields.possible and len(np.unique(fields.sheets.loop)) == 2
+    assert fields.possible and len(np.unique(fields.shapes.loop)) == 2
     assert Pairs(faces, len(x)).distance(x) == 0.0
     assert not fields.decide(x, np.zeros_like(x))
 
@@ -305,13 +305,13 @@ def test_the_least_width_holds_at_all_times():
     """Triangles on straight ways, some of which turn over and back: sampled altitudes are never below what was found."""
     rng = np.random.default_rng(0)
     x = np.array([[0.0, 0, 0], [0, 0, 1], [1, 0, 0]])
-    sheets = HeightFields(cg.Surface([[0, 1, 2]], 3), np.full(3, REACH)).sheets
+    shapes = HeightFields(cg.Surface([[0, 1, 2]], 3), np.full(3, REACH)).shapes
     between = positive = 0
     for _ in range(400):
         ways = np.concatenate(
             [x[:, [2, 0]] + rng.normal(0, 0.3, (3, 2)), rng.normal(0, rng.choice([0, 0.3, 1]), (3, 2))], 1
         )
-        found = kernels._least_width(sheets, 0, ways)
+        found = kernels._least_width(shapes, 0, ways)
         widths = []
         for share in np.linspace(0, 1, 41):
             a, b, c = ways[:, :2] + share * ways[:, 2:]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clothgym.benchmarks.frame import Row
-from clothgym.benchmarks.mezger_simulation import simulated_table
+from clothgym.benchmarks.mezger_simulation import simulated_tables
 from clothgym.benchmarks.report import Table
 
 PAPER = {
@@ -34,7 +34,7 @@ def tables(rows: list[Row]) -> list[Table]:
         elif kind == "vertices":
             found.append(_seen_table(row))
         elif kind == "simulation":
-            found.append(simulated_table(row))
+            found += simulated_tables(row)
         elif kind == "curvature":
             found.append(_curvature_table(result))
     shares = [row for row in rows if row["parameters"]["what"] == "shares"]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels import height_field
-from clothgym.kernels.height_field import Sheets, Tube
+from clothgym.kernels.height_field import Shapes, Sheets, Tube
 from clothgym.mesh import Surface
 
 Ids = NDArray[np.int64]
@@ -32,22 +32,14 @@ class HeightFields:
     """
 
     def __init__(self, surface: Surface, reach: FloatArray) -> None:
-        sheets = _sheets(surface, reach)
-        self.possible = sheets is not None
-        if sheets is None:
+        known = _components(surface, reach)
+        self.possible = known is not None
+        if known is None:
             return
-        count, border = len(sheets.reach), len(sheets.border)
-        self.sheets = sheets
+        self.sheets, self.shapes = known
+        count = len(self.sheets.reach)
         self.tube = Tube(
-            np.zeros((len(reach), 4)),
-            np.zeros((count, 3, 3)),
-            np.zeros(count),
-            np.zeros((count, 6)),
-            np.zeros(3),
-            np.zeros(border),
-            np.zeros(border, np.int64),
-            np.zeros(border, np.int64),
-            np.zeros(border),
+            np.zeros((len(reach), 4)), np.zeros((count, 3, 3)), np.zeros(count), np.zeros((count, 6)), np.zeros(3)
         )
 
     @property
@@ -57,14 +49,14 @@ class HeightFields:
     def decide(self, x: FloatArray, travel: FloatArray) -> bool:
         """Whether no primitives without a common vertex come within reach of each other on the way from x along travel (V, 3)
         [m], as long as `stays` confirms it. No proves nothing."""
-        return self.possible and bool(height_field.decide(x, travel, self.sheets, self.tube))
+        return self.possible and bool(height_field.decide(x, travel, self.sheets, self.shapes, self.tube))
 
     def stays(self, x: FloatArray, share: float) -> bool:
         """Whether x (V, 3) [m], `share` of the way, is near enough to what was expected for the decision to hold."""
         return bool(height_field.stays(x, share, self.sheets, self.tube))
 
 
-def _sheets(surface: Surface, reach: FloatArray) -> Sheets | None:
+def _components(surface: Surface, reach: FloatArray) -> tuple[Sheets, Shapes] | None:
     """Topology of the components, or None if one of them can never be decided."""
     faces, vertices = surface.faces, surface.vertex_count
     if len(faces) == 0 or (surface.edge_face_count > 2).any():
@@ -87,15 +79,17 @@ def _sheets(surface: Surface, reach: FloatArray) -> Sheets | None:
     border = border[by_border]
     largest = np.zeros(len(used))
     np.maximum.at(largest, number[component[members]], reach[members])
-    return Sheets(
-        members.astype(np.int32),
-        member_start,
+    count = len(border)
+    return Sheets(members.astype(np.int32), member_start, largest), Shapes(
         np.ascontiguousarray(faces[by_face]),
         face_start,
         np.ascontiguousarray(border, np.int32),
         border_start,
         _loops(border, border_start, vertices),
-        largest,
+        np.zeros(count),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(count),
     )
 
 

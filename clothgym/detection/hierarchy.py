@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray, IntArray
-from clothgym.kernels import clusters, kdop
+from clothgym.kernels import cluster_pairs, clusters, kdop
 from clothgym.mesh import Surface
 
 _SMALL = 4 * clusters.LEAF
@@ -47,8 +49,7 @@ class Hierarchy:
         self.clusters = _clusters(surface, _order(surface, vertices, axes, by_component), 2 * len(self._axes), arity)
         count = len(surface.faces)
         self._ways = np.empty((len(vertices), 2 * len(self._axes)), np.float32)
-        self._stack = np.empty((arity * len(self.clusters.levels), 2), np.int64)
-        self._leaves = np.empty(len(self.clusters.edge_start), np.int64)
+        self._scratch = cluster_pairs.scratch(len(self.clusters.edge_start), len(self.clusters.levels), arity)
         self.vertex_face: IntArray = np.empty((4 * count + 64, 2), np.int32)
         self.edge_edge: IntArray = np.empty((12 * count + 64, 2), np.int32)
         self.edge_face: IntArray = np.empty((64, 2), np.int32)
@@ -69,17 +70,13 @@ class Hierarchy:
 
         The lists that are not asked for stay as they are; buffers grow by counting.
         """
-        tree, counts, scratch = self.clusters, self.counts, (self._stack, self._leaves)
-        counts[3] = 0
-        while near:
-            tests = clusters.near_pairs(tree, self._reach, counts, *scratch, self.vertex_face, self.edge_edge)
-            if not self._grown(_KINDS[:2]):
-                counts[3] += tests
-                break
-        while hits:
-            tests = clusters.crossing_pairs(tree, self._reach, counts, *scratch, self.edge_face)
-            if not self._grown(_KINDS[2:]):
-                counts[3] += tests
+        wanted = (_KINDS[:2] if near else ()) + (_KINDS[2:] if hits else ())
+        tree, scratch, counts = self.clusters, self._scratch, self.counts
+        while True:
+            counts[3] = cluster_pairs.overlapping_pairs(
+                tree, self._reach, near, hits, counts, scratch, self.vertex_face, self.edge_edge, self.edge_face
+            )
+            if not self._grown(wanted):
                 break
         self.box_tests += int(counts[3])
 
@@ -115,10 +112,11 @@ def _clusters(surface: Surface, order: NDArray[np.int64], rows: int, arity: int)
     while size > 0 and (size > 1 or len(levels) == 1):
         size = -(-size // arity)
         levels.append(levels[-1] + size)
-    boxes = np.empty((levels[-1], rows, clusters.LANES), np.float32)
+    boxes = _aligned((levels[-1], rows, clusters.LANES), np.float32)
     high = np.arange(rows) % 6 >= 3
     boxes[:, ~high], boxes[:, high] = np.inf, -np.inf
-    ids = np.full((levels[-1], 4, clusters.LANES), -1, np.int32)
+    ids = _aligned((levels[-1], 4, clusters.LANES), np.int32)
+    ids[:] = -1
     at, lane = np.divmod(np.arange(count), clusters.LEAF)
     ids[at, 0, lane] = order
     ids[at, 1:, lane] = faces[order]
@@ -127,9 +125,18 @@ def _clusters(surface: Surface, order: NDArray[np.int64], rows: int, arity: int)
     ids[at + leaves, 1:, lane] = surface.edges[edges][:, [0, 1, 1]]
     at, lane = np.divmod(vertex_place, clusters.LANES)
     ids[at + edge_start[-1], :, lane] = owned[points, None]
-    starts = (edge_start.astype(np.int32), vertex_start.astype(np.int32), np.array(levels, np.int32))
-    shapes = np.zeros((int(vertex_start[-1]), 6, clusters.LANES), np.float32)
+    starts = (edge_start.astype(np.uint64), vertex_start.astype(np.uint64), np.array(levels, np.uint64))
+    shapes = _aligned((int(vertex_start[-1]), 6, clusters.LANES), np.float32)
+    shapes[:] = 0.0
     return clusters.Clusters(boxes, shapes, ids, *starts, arity)
+
+
+def _aligned(shape: tuple[int, ...], kind: type) -> NDArray[Any]:
+    """An array whose rows of 16 lie in one cache line each."""
+    count = int(np.prod(shape))
+    room: NDArray[Any] = np.empty(count + clusters.LANES, kind)
+    first = -(room.ctypes.data // room.itemsize) % clusters.LANES
+    return room[first : first + count].reshape(shape)
 
 
 def _order(surface: Surface, vertices: FloatArray, axes: FloatArray, by_component: bool) -> NDArray[np.int64]:

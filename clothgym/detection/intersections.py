@@ -84,17 +84,12 @@ class Intersections:
         self.surface = surface
         self.skipped_faces = surface.skipped_faces
         s = surface.arrays
-        keys = np.empty(max(64, len(surface.faces) // 8), np.int64)
         # predicates multiply three coordinates: scaled by a power of two, their roundings stay far from over- and underflow
         largest = float(np.abs(vertices).max()) if len(vertices) else 0.0
         power = 0 if largest == 0.0 else 300 - int(np.frexp(largest)[1])
         scaled = np.ldexp(vertices, power)
-        while True:
-            found, left, exact = contour_kernels.find_hits(scaled, s.faces, s.edges, edge_face, len(edge_face), keys)
-            if found <= len(keys):
-                break
-            edge_face = edge_face[:left]
-            keys = np.empty(found, np.int64)
+        keys = np.empty(len(edge_face), np.int64)
+        found, left, exact = contour_kernels.find_hits(scaled, s.faces, s.edges, edge_face, keys)
         self.edge_triangle_tests, self.exact_tests = int(left), int(exact)
         keys = np.sort(keys[:found])
         face_count = max(len(s.faces), 1)

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
 from clothgym.kernels.primitives import edge_hits_triangle
 from clothgym.kernels.vec3 import cross, dot, length, triangle_normal, unit
 
@@ -19,7 +19,7 @@ _KAPPA_EPS2 = 1e-6
 """(E.N)^2 below about this no longer steers: kappa = (E.S)(E.N) / ((E.N)^2 + eps^2) keeps its sign and stays finite."""
 
 
-@device
+@inlined
 def _look_at(x, e0, e1, a0, a1, a2):
     """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
     predicates.
@@ -72,15 +72,15 @@ def _look_at(x, e0, e1, a0, a1, a2):
 
 
 @kernel
-def find_hits(x, faces, edges, edge_face, count, keys):
+def find_hits(x, faces, edges, edge_face, keys):
     """Hits among pairs of an edge and a face without a common vertex.
 
-    Shapes: x (V, 3); faces (F, 3); edges (E, 2); edge_face (C, 2) ids, of which the first `count` are read and reordered.
-    Writes edge_id * F + face_id to keys (K,) as far as they fit; returns (hits found, pairs that did not pass by, exact tests).
+    Shapes: x (V, 3); faces (F, 3); edges (E, 2); edge_face (C, 2) ids, reordered. Writes edge_id * F + face_id to keys (C,);
+    returns (hits found, pairs that did not pass by, exact tests).
     """
     left = 0
     unsure = 0
-    for n in range(count):
+    for n in range(edge_face.shape[0]):
         edge = edge_face[n, 0]
         face = edge_face[n, 1]
         apart, hit = _look_at(x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2])
@@ -101,10 +101,9 @@ def find_hits(x, faces, edges, edge_face, count, keys):
                 x, edges[edge, 0], edges[edge, 1], faces[face, 0], faces[face, 1], faces[face, 2]
             )
             unsure += 1
-        if hit:
-            if found < keys.shape[0]:
-                keys[found] = np.int64(edge) * faces.shape[0] + face
-            found += 1
+        # whether it is one is added, not branched on
+        keys[found] = np.int64(edge) * faces.shape[0] + face
+        found += hit
     return found, left, unsure
 
 

@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
@@ -39,16 +40,25 @@ _LEAST = 0.1
 
 
 class Sheets(NamedTuple):
-    """Topology of C components, all oriented manifolds with a border; rows of a component follow each other."""
+    """C components, all oriented manifolds with a border; rows of a component follow each other."""
 
     members: NDArray  # (M,) int32 vertices
     member_start: NDArray  # (C + 1,) int64
+    reach: NDArray  # (C,) [m] primitives nearer than this would be in contact
+
+
+class Shapes(NamedTuple):
+    """Faces and outlines of the components, which a decision looks at, and its scratch."""
+
     faces: NDArray  # (F, 3) int32 vertices
     face_start: NDArray  # (C + 1,) int64
     border: NDArray  # (B, 2) int32 edges of the outlines, along their face
     border_start: NDArray  # (C + 1,) int64
     loop: NDArray  # (B,) int32 loop of each of them, counted from 0 in its component
-    reach: NDArray  # (C,) [m] primitives nearer than this would be in contact
+    lows: NDArray  # (B,) [m] scratch: lower end of an edge of an outline along the first axis
+    order: NDArray  # (B,) int64 scratch: edges of an outline by their lower end
+    spare: NDArray  # (B,) int64 scratch
+    turns: NDArray  # (B,) scratch: area within each loop of an outline [m^2]
 
 
 class Tube(NamedTuple):
@@ -59,14 +69,10 @@ class Tube(NamedTuple):
     slack: NDArray  # (C,) [m]
     boxes: NDArray  # (C, 6) [m] everywhere each component was since, against the drift: lows, then highs
     drift: NDArray  # (3,) [m] how far all go on average
-    lows: NDArray  # (B,) [m] scratch: lower end of an edge of an outline along the first axis
-    order: NDArray  # (B,) int64 scratch: edges of an outline by their lower end
-    spare: NDArray  # (B,) int64 scratch
-    turns: NDArray  # (B,) scratch: area within each loop of an outline [m^2]
 
 
 @device
-def _plane(x, u, sheets, c, axes):
+def _plane(x, u, sheets, shapes, c, axes):
     """Origin and axes of the plane across the mean normal halfway; whether there is one.
 
     The area vector of a sheet follows from its outline alone: half the sum of p x q over its edges (Stokes).
@@ -78,9 +84,9 @@ def _plane(x, u, sheets, c, axes):
     nx = 0.0
     ny = 0.0
     nz = 0.0
-    for n in range(sheets.border_start[c], sheets.border_start[c + 1]):
-        i = sheets.border[n, 0]
-        j = sheets.border[n, 1]
+    for n in range(shapes.border_start[c], shapes.border_start[c + 1]):
+        i = shapes.border[n, 0]
+        j = shapes.border[n, 1]
         px = x[i, 0] + 0.5 * u[i, 0] - ox
         py = x[i, 1] + 0.5 * u[i, 1] - oy
         pz = x[i, 2] + 0.5 * u[i, 2] - oz
@@ -165,7 +171,7 @@ def _project(x, u, sheets, c, axes, ways):
 
 
 @device
-def _least_width(sheets, c, ways):
+def _least_width(shapes, c, ways):
     """Least altitude [m] of the projected triangles at any time of the motion; 0 if one does not have positive area.
 
     Twice the area is a polynomial of degree 2 in time, at least the least of its three Bernstein coefficients; a side is
@@ -173,10 +179,10 @@ def _least_width(sheets, c, ways):
     """
     area = math.inf
     side = 1.0
-    for f in range(sheets.face_start[c], sheets.face_start[c + 1]):
-        i = sheets.faces[f, 0]
-        j = sheets.faces[f, 1]
-        k = sheets.faces[f, 2]
+    for f in range(shapes.face_start[c], shapes.face_start[c + 1]):
+        i = shapes.faces[f, 0]
+        j = shapes.faces[f, 1]
+        k = shapes.faces[f, 2]
         ax = ways[j, 0] - ways[i, 0]
         ay = ways[j, 1] - ways[i, 1]
         bx = ways[k, 0] - ways[i, 0]
@@ -235,7 +241,7 @@ def _widen(x, u, share, drifted, sheets, tube):
 
 
 @kernel
-def decide(x, u, sheets, tube):
+def decide(x, u, sheets, shapes, tube):
     """Whether no primitives without a common vertex can come within reach while vertices go from x by u (V, 3) [m].
 
     Fills the tube: how far vertices may stray from there (`stays`). No is no proof of anything. Time is linear in the
@@ -243,16 +249,16 @@ def decide(x, u, sheets, tube):
     """
     count = sheets.reach.shape[0]
     for c in range(count):
-        if not _plane(x, u, sheets, c, tube.axes):
+        if not _plane(x, u, sheets, shapes, c, tube.axes):
             return False
         size = _project(x, u, sheets, c, tube.axes, tube.ways)
         # what rounding can do to a coordinate counts as if the vertex were elsewhere
         lost = 1e-12 * size
         least = 0.5 * sheets.reach[c] + _LEAST * sheets.reach[c] + lost
-        radius = 0.5 * (1.0 - 1e-9) * _least_width(sheets, c, tube.ways)
+        radius = 0.5 * (1.0 - 1e-9) * _least_width(shapes, c, tube.ways)
         if not radius > least:
             return False
-        radius = 0.5 * (1.0 - 1e-9) * clearance(sheets, c, tube, radius)
+        radius = 0.5 * (1.0 - 1e-9) * clearance(shapes, c, tube.ways, radius)
         if not radius > least:
             return False
         tube.slack[c] = radius - 0.5 * sheets.reach[c] - lost
@@ -276,9 +282,6 @@ def decide(x, u, sheets, tube):
 def _stays(x, share, sheets, tube):
     ways = tube.ways
     for c in range(sheets.reach.shape[0]):
-        ox = tube.axes[c, 0, 0]
-        oy = tube.axes[c, 0, 1]
-        oz = tube.axes[c, 0, 2]
         ax = tube.axes[c, 1, 0]
         ay = tube.axes[c, 1, 1]
         az = tube.axes[c, 1, 2]
@@ -291,16 +294,14 @@ def _stays(x, share, sheets, tube):
         high_b = -math.inf
         total = 0.0
         for m in range(sheets.member_start[c], sheets.member_start[c + 1]):
-            i = sheets.members[m]
-            px = x[i, 0] - ox
-            py = x[i, 1] - oy
-            pz = x[i, 2] - oz
-            a = ax * px + ay * py + az * pz - ways[i, 0] - share * ways[i, 2]
-            b = bx * px + by * py + bz * pz - ways[i, 1] - share * ways[i, 3]
-            low_a = min(low_a, a)
-            low_b = min(low_b, b)
-            high_a = max(high_a, a)
-            high_b = max(high_b, b)
+            i = np.uint64(sheets.members[m])
+            # the origin is left out: all deviations have it in common
+            a = ax * x[i, 0] + ay * x[i, 1] + az * x[i, 2] - (ways[i, 0] + share * ways[i, 2])
+            b = bx * x[i, 0] + by * x[i, 1] + bz * x[i, 2] - (ways[i, 1] + share * ways[i, 3])
+            low_a = a if a < low_a else low_a
+            low_b = b if b < low_b else low_b
+            high_a = a if a > high_a else high_a
+            high_b = b if b > high_b else high_b
             total += a + b
         # relative to the middle of all deviations: what they have in common moves no primitive against another
         wide = high_a - low_a

@@ -128,9 +128,9 @@ def _shapes(x, origin, scale, clusters):
     ids = clusters.ids
     shapes = clusters.shapes
     half = 0.5 * scale
-    faces = clusters.edge_start[0]
-    edges = clusters.vertex_start[0]
-    for b in range(clusters.vertex_start[clusters.vertex_start.shape[0] - 1]):
+    faces = np.int64(clusters.edge_start[0])
+    edges = np.int64(clusters.vertex_start[0])
+    for b in range(np.int64(clusters.vertex_start[clusters.vertex_start.shape[0] - 1])):
         for n in range(16):
             i = ids[b, 1, n]
             if i < 0:
@@ -202,7 +202,7 @@ def refit_clusters(start, end, radius, still, axes, axis_lengths, clusters, ways
                     q = ways[k, r + 3]
                     boxes[b, r, n] = p if p < low else low
                     boxes[b, r + 3, n] = q if q > high else high
-        for b in range(leaves, clusters.vertex_start[leaves]):
+        for b in range(leaves, np.int64(clusters.vertex_start[leaves])):
             for n in range(16):
                 i = ids[b, 1, n]
                 if i < 0:
@@ -221,7 +221,7 @@ def refit_clusters(start, end, radius, still, axes, axis_lengths, clusters, ways
     many = leaves
     for level in range(levels.shape[0] - 1):
         for child in range(many):
-            b = levels[level] + child // arity
+            b = np.int64(levels[level]) + child // arity
             n = child % arity
             for row in range(0, boxes.shape[1], 6):
                 for r in range(row, row + 3):
@@ -234,6 +234,6 @@ def refit_clusters(start, end, radius, still, axes, axis_lengths, clusters, ways
                         high = q if q > high else high
                     boxes[b, r, n] = low
                     boxes[b, r + 3, n] = high
-        first = levels[level]
-        many = levels[level + 1] - levels[level]
+        first = np.int64(levels[level])
+        many = np.int64(levels[level + 1]) - first
     return radius[0] * scale if still else -1.0

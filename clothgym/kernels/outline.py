@@ -113,54 +113,53 @@ def _sort(lows, order, spare, first, last):
 
 
 @device
-def clearance(sheets, c, tube, radius):
+def clearance(shapes, c, ways, radius):
     """Least distance [m], at any time, of a vertex of an outline from an edge of it that does not end there, at most 2 radius.
 
-    Component c of sheets (`height_field.Sheets`), on its ways in the plane (`height_field.Tube`). 0 if the outline crosses
+    Component c of shapes (`height_field.Shapes`), on its ways in the plane (`height_field.Tube`). 0 if the outline crosses
     itself, has not exactly one counter-clockwise loop, or has too many edges in one place: time is bounded by a sort.
     """
-    ways = tube.ways
-    first = sheets.border_start[c]
-    last = sheets.border_start[c + 1]
+    first = shapes.border_start[c]
+    last = shapes.border_start[c + 1]
     for n in range(first, last):
-        tube.lows[n] = _interval(ways, sheets.border[n, 0], sheets.border[n, 1], 0)[0]
-    _sort(tube.lows, tube.order, tube.spare, first, last)
+        shapes.lows[n] = _interval(ways, shapes.border[n, 0], shapes.border[n, 1], 0)[0]
+    _sort(shapes.lows, shapes.order, shapes.spare, first, last)
     least = 2.0 * radius
     looked = 0
     for n in range(first, last):
-        e = tube.order[n]
-        a = sheets.border[e, 0]
-        b = sheets.border[e, 1]
+        e = shapes.order[n]
+        a = shapes.border[e, 0]
+        b = shapes.border[e, 1]
         end = _interval(ways, a, b, 0)[1] + 2.0 * radius
         low, high = _interval(ways, a, b, 1)
         low -= 2.0 * radius
         high += 2.0 * radius
         m = n + 1
-        while m < last and tube.lows[tube.order[m]] <= end:
-            f = tube.order[m]
+        while m < last and shapes.lows[shapes.order[m]] <= end:
+            f = shapes.order[m]
             m += 1
             looked += 1
-            other_low, other_high = _interval(ways, sheets.border[f, 0], sheets.border[f, 1], 1)
+            other_low, other_high = _interval(ways, shapes.border[f, 0], shapes.border[f, 1], 1)
             if other_low <= high and other_high >= low:
-                least = min(least, _edges_clear(ways, a, b, sheets.border[f, 0], sheets.border[f, 1]))
+                least = min(least, _edges_clear(ways, a, b, shapes.border[f, 0], shapes.border[f, 1]))
         if not least > 0.0 or looked > _PAIRS * (last - first):
             return 0.0
     loops = 0
     for n in range(first, last):
-        loops = max(loops, sheets.loop[n] + 1)
+        loops = max(loops, shapes.loop[n] + 1)
     if loops > 1:
         for n in range(loops):
-            tube.turns[first + n] = 0.0
+            shapes.turns[first + n] = 0.0
         for n in range(first, last):
-            px, py = _halfway(ways, sheets.border[n, 0])
-            qx, qy = _halfway(ways, sheets.border[n, 1])
-            tube.turns[first + sheets.loop[n]] += 0.5 * (px * qy - py * qx)
+            px, py = _halfway(ways, shapes.border[n, 0])
+            qx, qy = _halfway(ways, shapes.border[n, 1])
+            shapes.turns[first + shapes.loop[n]] += 0.5 * (px * qy - py * qx)
         forward = 0
         for n in range(loops):
             # a simple loop holds at least half of a disc of this radius: far from what rounding can change
-            if not abs(tube.turns[first + n]) > 0.1 * least * least:
+            if not abs(shapes.turns[first + n]) > 0.1 * least * least:
                 return 0.0
-            forward += tube.turns[first + n] > 0.0
+            forward += shapes.turns[first + n] > 0.0
         if forward != 1:
             return 0.0
     return least

@@ -1,7 +1,7 @@
 """Pairs of primitives that are near, or may come near within a step: vertex-triangle and edge-edge.
 
-Candidates are pairs of ids whose boxes overlap (`clusters.near_pairs`). Pairs for contact are "quads" of four vertex ids:
-kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
+Candidates are pairs of ids whose boxes overlap (`cluster_pairs.overlapping_pairs`). Pairs for contact are "quads" of four
+vertex ids: kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
 from clothgym.kernels.primitives import edge_edge_distance, vertex_triangle_distance
 
 
@@ -33,7 +33,7 @@ def _emit(quads, kinds, found, a, b, c, d, kind):
     return found + 1
 
 
-@device
+@inlined
 def _vertex_triangle_apart(x, v, a, b, c, reach):
     """Whether the plane, or one across the line from the triangle's centre to the vertex, keeps both further apart than `reach`
     [m], by a safe margin. Spares most pairs their closest points."""
@@ -98,9 +98,9 @@ def _edges_apart(x, a0, a1, b0, b1, reach):
     return across | ((gap * gap > far * nn) & (nn > 1e-12 * size * size * size * size))
 
 
-@device
-def _edge_edge_distance(x, a0, a1, b0, b1):
-    """`primitives.edge_edge_distance` to the last bit, without branches but for edges that are nearly parallel or points."""
+@inlined
+def _skew_distance(x, a0, a1, b0, b1):
+    """`primitives.edge_edge_distance` to the last bit and without branches; -1 if edges are nearly parallel or points."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -116,8 +116,6 @@ def _edge_edge_distance(x, a0, a1, b0, b1):
     c = ux * rx + uy * ry + uz * rz
     b = ux * vx + uy * vy + uz * vz
     denominator = a * e - b * b
-    if not denominator > 1e-6 * a * e:
-        return edge_edge_distance(x, a0, a1, b0, b1)
     s = (b * f - c * e) / denominator
     s = s if s > 0.0 else 0.0
     s = s if s < 1.0 else 1.0
@@ -131,7 +129,13 @@ def _edge_edge_distance(x, a0, a1, b0, b1):
     dx = x[a0, 0] + s * ux - x[b0, 0] - t * vx
     dy = x[a0, 1] + s * uy - x[b0, 1] - t * vy
     dz = x[a0, 2] + s * uz - x[b0, 2] - t * vz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    return math.sqrt(dx * dx + dy * dy + dz * dz) if denominator > 1e-6 * a * e else -1.0
+
+
+@inlined
+def _edge_edge_distance(x, a0, a1, b0, b1):
+    d = _skew_distance(x, a0, a1, b0, b1)
+    return d if d >= 0.0 else edge_edge_distance(x, a0, a1, b0, b1)
 
 
 @kernel
@@ -194,20 +198,21 @@ def keep_near(x, faces, edges, distance, vertex_face, edge_edge, counts, point_g
     vertex_face (C, 2) vertex and face, edge_edge (C, 2) edge ids, counts (4,) how many there are; afterwards counts[0] and
     counts[1] say how many stayed.
 
-    Whether a pair stays is added instead of branched on: it is as good as random.
+    Whether a pair stays is added instead of branched on: it is as good as random. Ids are unsigned: no look for negative ones.
     """
     left = 0
     for n in range(counts[0]):
-        v = vertex_face[n, 0]
-        f = vertex_face[n, 1]
+        v = np.uint64(vertex_face[n, 0])
+        f = np.uint64(vertex_face[n, 1])
+        a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
         vertex_face[left, 0] = v
         vertex_face[left, 1] = f
-        left += not _vertex_triangle_apart(x, v, faces[f, 0], faces[f, 1], faces[f, 2], distance)
+        left += not _vertex_triangle_apart(x, v, a, b, c, distance)
     kept = 0
     for n in range(left):
-        v = vertex_face[n, 0]
-        f = vertex_face[n, 1]
-        d = vertex_triangle_distance(x, v, faces[f, 0], faces[f, 1], faces[f, 2])
+        v = np.uint64(vertex_face[n, 0])
+        f = np.uint64(vertex_face[n, 1])
+        d = vertex_triangle_distance(x, v, np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2]))
         vertex_face[kept, 0] = v
         vertex_face[kept, 1] = f
         point_gaps[kept] = d
@@ -215,9 +220,12 @@ def keep_near(x, faces, edges, distance, vertex_face, edge_edge, counts, point_g
     counts[0] = kept
     kept = 0
     for n in range(counts[1]):
-        e = min(edge_edge[n, 0], edge_edge[n, 1])
-        f = max(edge_edge[n, 0], edge_edge[n, 1])
-        d = _edge_edge_distance(x, edges[e, 0], edges[e, 1], edges[f, 0], edges[f, 1])
+        p = np.uint64(edge_edge[n, 0])
+        q = np.uint64(edge_edge[n, 1])
+        e = p if p < q else q
+        f = q if p < q else p
+        a0, a1, b0, b1 = np.uint64(edges[e, 0]), np.uint64(edges[e, 1]), np.uint64(edges[f, 0]), np.uint64(edges[f, 1])
+        d = _edge_edge_distance(x, a0, a1, b0, b1)
         edge_edge[kept, 0] = e
         edge_edge[kept, 1] = f
         line_gaps[kept] = d

@@ -32,6 +32,10 @@ class Candidates:
 
     Sheets that are height fields, and stay so, have no pairs: `flat` says that this was decided, and pairs are not searched
     as long as it holds.
+
+    Attributes:
+        ahead: steps for which a decision is tried: twice as many after each that held, 1 after one that did not.
+        most_ahead: its first and largest value; more than 1 for whoever books in `spent` how many substeps have used it up.
     """
 
     def __init__(
@@ -46,7 +50,8 @@ class Candidates:
         self.kinds = np.zeros(8 * count, np.uint8)
         self.separation: FloatArray = np.zeros((8 * count, 4))
         self.count = 0
-        self.horizon = 1
+        self.horizon = self.ahead = self.most_ahead = 1
+        self.spent = 0
         self.start: FloatArray = np.zeros((model.vertex_count, 3))
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
@@ -65,8 +70,19 @@ class Candidates:
         """Whether nothing can touch when vertices leave x along `travel` (V, 3) [m], in `horizon` substeps."""
         self.flat = self.sheets is not None and self.sheets.decide(x, travel)
         if self.flat:
-            self.horizon, self.count = horizon, 0
+            self.horizon, self.spent, self.count = horizon, 0, 0
         return self.flat
+
+    def lasts(self, x: FloatArray, substeps: int) -> bool:
+        """Whether what was settled before holds for x (V, 3), wherever that comes from, and for so many substeps more."""
+        self.flat = (
+            self.flat and 0 < self.spent <= self.horizon - substeps and not self.outdated(x, self.spent / self.horizon)
+        )
+        return self.flat
+
+    def forget(self) -> None:
+        """Drops what was settled: results do not depend on it, work counters do."""
+        self.flat, self.spent, self.ahead = False, 0, self.most_ahead
 
     def book(self, count: Callable[[str, int], None]) -> None:
         """Reports what the tree has counted since the last time."""

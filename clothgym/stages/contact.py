@@ -19,6 +19,10 @@ _SHARINGS = 4
 """Rounds in which clamped layers share their room: as many layers between two walls take part."""
 
 
+_AHEAD = 8
+"""Steps for which sheets are decided to be height fields, at most."""
+
+
 class ContactSubsteps:
     """Substeps with contact: predict, closest points, sweeps with contact last, certificate, new velocities."""
 
@@ -44,6 +48,7 @@ class ContactSubsteps:
         self.rounds = fidelity.repair_rounds
         in_sweeps = step.integrator.in_sweeps
         self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
+        candidates.ahead = candidates.most_ahead = _AHEAD if self.flat_substeps else 1
         self.kept = np.zeros((model.vertex_count if self.flat_substeps else 0, 3))
         self.name = f"contact substeps [{step.label}]"
         if fidelity.untangling == "none" and fidelity.contacts_near_hits == "keep":
@@ -77,23 +82,24 @@ class ContactSubsteps:
         if self.flat_substeps is None or not found.flat:
             return 0
         frame.count("contacts", 0)
-        done, horizon = 0, found.horizon
+        done, base, horizon = 0, -found.spent, found.horizon
         while True:
-            base = done
             done = self.flat_substeps(
                 state.positions, state.velocities, frame.predicted, self.kept, frame.model.arrays, s.radii, motion, s.ground,
-                frame.grips, s.integrator.multipliers, done, done + horizon, base, horizon, found.sheets.sheets,
-                found.sheets.tube,
+                frame.grips, s.integrator.multipliers, done, min(base + horizon, s.substeps), base, horizon,
+                found.sheets.sheets, found.sheets.tube,
             )  # fmt: skip
             if done == s.substeps:
+                found.spent = done - base
                 return done
             # what was left is decided again for as long as it held
             left = s.substeps - done
-            horizon = min(done - base, left)
+            found.ahead, horizon = 1, min(done - base, left)
             travel = horizon * s.dt * state.velocities
             if horizon == 0 or not found.settle(state.positions, travel, horizon):
                 found.flat, found.horizon = False, 0
                 return done
+            base = done
             frame.count("rebuilds", 1)
 
     def run(self, frame: Frame) -> None:
@@ -193,12 +199,12 @@ class ContactSubstepsOnBody(ContactSubsteps):
 
     writes = (*ContactSubsteps.writes, "body_forces")
 
-    def __init__(self, step: Step, body: Any, *others: Any) -> None:
-        super().__init__(step, *others)
+    def __init__(self, step: Step, body: Any, candidates: Any, *others: Any) -> None:
+        super().__init__(step, candidates, *others)
         from clothgym.kernels import body_contact
 
         self.body_kernels, self.body = body_contact, body
-        self.flat_substeps = None
+        self.flat_substeps, candidates.ahead, candidates.most_ahead = None, 1, 1
         self.name = f"{self.name[:-1]}, {body.label}]"
 
     def run(self, frame: Frame) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from clothgym.arrays import FloatArray
 from clothgym.stages.frame import Frame
+from clothgym.state import ClothState
 
 
 class Rebuild:
@@ -43,9 +44,7 @@ class FacePairs:
     def look(self, frame: Frame, horizon: int) -> None:
         """Looks `horizon` substeps ahead."""
         state, ahead = frame.state, self.step * horizon / self.substeps
-        np.multiply(state.velocities, ahead, out=self.travel)
-        # gravity is left out: what stands still stays, and what falls, falls together
-        if self.candidates.settle(state.positions, self.travel, horizon):
+        if self._settled(state, ahead, horizon):
             frame.count("decided_flat", 1)
             frame.count("box_pairs", 0)
             return
@@ -53,6 +52,28 @@ class FacePairs:
         self.travel += self.fall
         self.candidates.expect(state.positions, self.travel, horizon)
         frame.count("box_pairs", self.candidates.box_pairs)
+
+    def _settled(self, state: ClothState, seconds: float, horizon: int) -> bool:
+        """Whether nothing can touch; the travel is without gravity: what stands still stays, and what falls, falls together.
+
+        A decision costs as much as several steps' looks whether it still holds, so it is made for several steps if it can be.
+        """
+        found = self.candidates
+        if found.lasts(state.positions, horizon):
+            return True
+        for steps in (found.ahead, 1):
+            np.multiply(state.velocities, steps * seconds, out=self.travel)
+            if found.settle(state.positions, self.travel, steps * horizon):
+                found.ahead = min(2 * steps, found.most_ahead)
+                return True
+            if steps == 1:
+                break
+        found.ahead = 1
+        return False
+
+    def forget(self) -> None:
+        """Every run decides anew."""
+        self.candidates.forget()
 
 
 class PrimitivePairs:

@@ -23,13 +23,15 @@ def _travel(u, i, j):
 
 
 @device
-def _emit(quads, kinds, found, a, b, c, d, kind):
+def _emit(quads, kinds, rest, gaps, found, a, b, c, d, kind, thickness, gap):
     if found < quads.shape[0]:
         quads[found, 0] = a
         quads[found, 1] = b
         quads[found, 2] = c
         quads[found, 3] = d
         kinds[found] = kind
+        rest[found] = thickness
+        gaps[found] = gap
     return found + 1
 
 
@@ -135,11 +137,12 @@ def _edge_edge_distance(x, a0, a1, b0, b1):
 
 
 @kernel
-def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds):
+def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds, rest, gaps):
     """Pairs of primitives that can come within their thickness while every vertex moves by u, within its slack [m].
 
     x, u (V, 3): positions and expected displacements; thickness, slack (V,); vertex_face (C, 2) and edge_edge (C, 2): pairs of
-    primitives whose swept, inflated boxes overlap. Returns the number found; as many as fit into quads (K, 4) are written.
+    primitives whose swept, inflated boxes overlap. Returns the number found; as many as fit into quads (K, 4) are written, with
+    their kinds, thickness and distance at x (K,).
 
     A pair stays if its distance now is within thickness + relative travel + slack.
     """
@@ -150,12 +153,14 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
         a = faces[face, 0]
         b = faces[face, 1]
         c = faces[face, 2]
-        reach = min(thickness[v], thickness[a], thickness[b], thickness[c]) + slack[v]
+        least = min(thickness[v], thickness[a], thickness[b], thickness[c])
+        reach = least + slack[v]
         reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
         if _vertex_triangle_apart(x, v, a, b, c, reach):
             continue
-        if vertex_triangle_distance(x, v, a, b, c) <= reach:
-            found = _emit(quads, kinds, found, v, a, b, c, 0)
+        gap = vertex_triangle_distance(x, v, a, b, c)
+        if gap <= reach:
+            found = _emit(quads, kinds, rest, gaps, found, v, a, b, c, 0, least, gap)
     for n in range(edge_edge.shape[0]):
         e = edge_edge[n, 0]
         f = edge_edge[n, 1]
@@ -163,21 +168,22 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
         a1 = edges[e, 1]
         b0 = edges[f, 0]
         b1 = edges[f, 1]
-        reach = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
-        reach += max(
+        least = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
+        reach = least + max(
             slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
             slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
         )
         if _edges_apart(x, a0, a1, b0, b1, reach):
             continue
-        if _edge_edge_distance(x, a0, a1, b0, b1) <= reach:
-            found = _emit(quads, kinds, found, a0, a1, b0, b1, 1)
+        gap = _edge_edge_distance(x, a0, a1, b0, b1)
+        if gap <= reach:
+            found = _emit(quads, kinds, rest, gaps, found, a0, a1, b0, b1, 1, least, gap)
     return found
 
 
-@kernel
-def largest_deviation(x, start, u, share, slack):
-    """By how much [m] some vertex is further than its slack from where it was expected, start + share u; < 0 = none is."""
+@device
+def deviation(x, start, u, share, slack):
+    """See `largest_deviation`."""
     worst = -math.inf
     for i in range(x.shape[0]):
         dx = x[i, 0] - start[i, 0] - share * u[i, 0]
@@ -185,6 +191,12 @@ def largest_deviation(x, start, u, share, slack):
         dz = x[i, 2] - start[i, 2] - share * u[i, 2]
         worst = max(worst, math.sqrt(dx * dx + dy * dy + dz * dz) - slack[i])
     return worst
+
+
+@kernel
+def largest_deviation(x, start, u, share, slack):
+    """By how much [m] some vertex is further than its slack from where it was expected, start + share u; < 0 = none is."""
+    return deviation(x, start, u, share, slack)
 
 
 @kernel

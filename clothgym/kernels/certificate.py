@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
 from clothgym.kernels.near_pairs import KEEP, OPEN, PROOF, look, spread
 
 _ATTEMPTS = 4
 
-@device
+@inlined
 def _extremes(p, quads, n, kind, separation):
     """Gap along the pair's separating direction and the two vertices that bound it."""
     nx = separation[n, 0]
@@ -35,7 +35,7 @@ def _extremes(p, quads, n, kind, separation):
     return low - high, i, j
 
 
-@device
+@inlined
 def _needed(separation, thickness, quads, n):
     h = min(thickness[quads[n, 0]], thickness[quads[n, 1]], thickness[quads[n, 2]], thickness[quads[n, 3]])
     return KEEP * min(separation[n, 3], h)

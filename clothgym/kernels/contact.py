@@ -12,6 +12,7 @@ from clothgym._jit import device, kernel
 from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import add_grip_forces, hold_grips, keep_above_ground
 from clothgym.kernels.near_pairs import LOOK, NEAR, look, spread
+from clothgym.kernels.spring_runs import project_in_runs
 
 _LEEWAY = 0.05
 """Thicknesses that sweeps are taken to move a vertex: contacts that are open by more than that and the expected motion rest."""
@@ -56,33 +57,36 @@ NO_CONTACTS = Contacts(
 @device
 def _link(watched, count):
     """Lists of the near pairs of each vertex with a triangle."""
-    watched.heads[:] = -1
+    heads = watched.heads
+    links = watched.links
+    states = watched.states
+    kinds = watched.kinds
+    quads = watched.quads
+    heads[:] = -1
     for n in range(count):
-        if watched.states[n] == NEAR and watched.kinds[n] == 0:
-            v = watched.quads[n, 0]
-            watched.links[n] = watched.heads[v]
-            watched.heads[v] = n
+        if states[n] == NEAR and kinds[n] == 0:
+            v = quads[n, 0]
+            links[n] = heads[v]
+            heads[v] = n
 
 
 @device
-def _is_nearest(n, watched):
-    """Whether no triangle around the closest point of pair n is nearer to its vertex.
+def _is_nearest(n, quads, weights, gaps, links, first):
+    """Whether no triangle around the closest point of pair n is nearer to its vertex, among those listed from `first` on.
 
     The vertex then is nearest there to the whole surface; of triangles that share this point, the first one counts.
     """
-    quads = watched.quads
-    m = watched.heads[quads[n, 0]]
+    m = first
     while m >= 0:
-        nearer = watched.gaps[m] < watched.gaps[n] or (watched.gaps[m] == watched.gaps[n] and m < n)
-        if nearer:
+        if gaps[m] < gaps[n] or (gaps[m] == gaps[n] and m < n):
             around = True
             for k in range(1, 4):
                 v = quads[n, k]
                 here = v == quads[m, 1] or v == quads[m, 2] or v == quads[m, 3]
-                around = around and (here or watched.weights[n, k] == 0.0)
+                around = around and (here or weights[n, k] == 0.0)
             if around:
                 return False
-        m = watched.links[m]
+        m = links[m]
     return True
 
 
@@ -96,14 +100,24 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
     found = 0
     capacity = contacts.rest.shape[0]
     _link(watched, count)
+    states = watched.states
+    kinds = watched.kinds
+    quads = watched.quads
+    weights = watched.weights
+    gaps = watched.gaps
+    ways = watched.ways
+    rests = watched.rest
+    separation = watched.separation
+    heads = watched.heads
+    links = watched.links
     for n in range(count):
-        if watched.states[n] != NEAR:
+        if states[n] != NEAR:
             continue
         ends = 0
         for k in range(4):
-            ends += watched.weights[n, k] != 0.0
-        crossing = watched.kinds[n] == 1
-        if ends < 4 and (crossing or not _is_nearest(n, watched)):
+            ends += weights[n, k] != 0.0
+        crossing = kinds[n] == 1
+        if ends < 4 and (crossing or not _is_nearest(n, quads, weights, gaps, links, heads[quads[n, 0]])):
             continue
         if found >= capacity:
             found += 1
@@ -111,23 +125,23 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
         ends = 0
         mobility = 0.0
         for k in range(4):
-            w = watched.weights[n, k]
+            w = weights[n, k]
             if w != 0.0:
-                contacts.quads[found, ends] = watched.quads[n, k]
+                contacts.quads[found, ends] = quads[n, k]
                 contacts.weights[found, ends] = w
-                mobility += w * w * inverse_masses[watched.quads[n, k]]
+                mobility += w * w * inverse_masses[quads[n, k]]
                 ends += 1
         for k in range(ends, 4):
-            contacts.quads[found, k] = contacts.quads[found, 0]
+            contacts.quads[found, k] = quads[n, 0]
             contacts.weights[found, k] = 0.0
         for c in range(3):
-            contacts.normals[found, c] = watched.separation[n, c]
-        rest = CROSSING * watched.rest[n] if crossing else watched.rest[n]
+            contacts.normals[found, c] = separation[n, c]
+        rest = CROSSING * rests[n] if crossing else rests[n]
         contacts.ends[found] = ends
         contacts.mobility[found] = mobility
         contacts.rest[found] = rest
-        contacts.clear[found] = watched.gaps[n] - watched.ways[n] - rest
-        contacts.limit[found] = yield_force if watched.separation[n, 3] < 0.0 else math.inf
+        contacts.clear[found] = gaps[n] - ways[n] - rest
+        contacts.limit[found] = yield_force if separation[n, 3] < 0.0 else math.inf
         found += 1
     return found
 
@@ -137,9 +151,16 @@ def _start(x, p, contacts, count, reach):
     """Those of `count` contacts that may press on the way from x to p, with multipliers of zero; `reach` is the relative motion
     since the last look. Returns how many."""
     live = 0
+    quads = contacts.quads
+    weights = contacts.weights
+    normals = contacts.normals
+    clear = contacts.clear
+    rest = contacts.rest
+    pressed = contacts.pressed
+    mobility = contacts.mobility
     for n in range(count):
-        contacts.pressed[n] = 0.0
-        if contacts.clear[n] > reach + _LEEWAY * contacts.rest[n] or contacts.mobility[n] == 0.0:
+        pressed[n] = 0.0
+        if clear[n] > reach + _LEEWAY * rest[n] or mobility[n] == 0.0:
             continue
         contacts.live[live] = n
         live += 1
@@ -147,11 +168,11 @@ def _start(x, p, contacts, count, reach):
             contacts.dragged[n, c] = 0.0
         approach = 0.0
         for k in range(contacts.ends[n]):
-            v = contacts.quads[n, k]
+            v = quads[n, k]
             along = 0.0
             for c in range(3):
-                along += contacts.normals[n, c] * (p[v, c] - x[v, c])
-            approach += contacts.weights[n, k] * along
+                along += normals[n, c] * (p[v, c] - x[v, c])
+            approach += weights[n, k] * along
         contacts.approach[n] = approach
     return live
 
@@ -185,78 +206,118 @@ def narrow(x, p, watched, count, inverse_masses, apart, both, yield_force, known
 def project_contacts(x, p, inverse_masses, contacts, count, friction, dt):
     """One Gauss-Seidel sweep over `count` live contacts: keep the thickness along the normal, Coulomb friction across it;
     momentum is kept."""
+    quads = contacts.quads
+    weights = contacts.weights
+    normals = contacts.normals
+    ends_of = contacts.ends
+    mobilities = contacts.mobility
+    rests = contacts.rest
+    pressed = contacts.pressed
+    dragged = contacts.dragged
+    limits = contacts.limit
+    live = contacts.live
     for m in range(count):
-        n = contacts.live[m]
-        ends = contacts.ends[n]
-        q = contacts.quads[n]
-        w = contacts.weights[n]
-        normal = contacts.normals[n]
-        mobility = contacts.mobility[n]
-        gap = -contacts.rest[n]
+        n = np.uint64(live[m])
+        ends = ends_of[n]
+        ux = normals[n, 0]
+        uy = normals[n, 1]
+        uz = normals[n, 2]
+        mobility = mobilities[n]
+        gap = -rests[n]
         for k in range(ends):
-            gap += w[k] * (normal[0] * p[q[k], 0] + normal[1] * p[q[k], 1] + normal[2] * p[q[k], 2])
-        before = contacts.pressed[n]
-        after = min(max(0.0, before - gap / mobility), contacts.limit[n] * dt * dt)
+            v = np.uint64(quads[n, k])
+            gap += weights[n, k] * (ux * p[v, 0] + uy * p[v, 1] + uz * p[v, 2])
+        before = pressed[n]
+        after = min(max(0.0, before - gap / mobility), limits[n] * dt * dt)
         if before == 0.0 and after == 0.0:
             continue
-        contacts.pressed[n] = after
+        pressed[n] = after
         push = after - before
         if push != 0.0:
             for k in range(ends):
-                g = push * w[k] * inverse_masses[q[k]]
-                p[q[k], 0] += g * normal[0]
-                p[q[k], 1] += g * normal[1]
-                p[q[k], 2] += g * normal[2]
+                v = np.uint64(quads[n, k])
+                g = push * weights[n, k] * inverse_masses[v]
+                p[v, 0] += g * ux
+                p[v, 1] += g * uy
+                p[v, 2] += g * uz
         if friction == 0.0:
             continue
         tx = 0.0
         ty = 0.0
         tz = 0.0
         for k in range(ends):
-            tx += w[k] * (p[q[k], 0] - x[q[k], 0])
-            ty += w[k] * (p[q[k], 1] - x[q[k], 1])
-            tz += w[k] * (p[q[k], 2] - x[q[k], 2])
-        along = tx * normal[0] + ty * normal[1] + tz * normal[2]
-        nx = contacts.dragged[n, 0] - (tx - along * normal[0]) / mobility
-        ny = contacts.dragged[n, 1] - (ty - along * normal[1]) / mobility
-        nz = contacts.dragged[n, 2] - (tz - along * normal[2]) / mobility
+            v = np.uint64(quads[n, k])
+            w = weights[n, k]
+            tx += w * (p[v, 0] - x[v, 0])
+            ty += w * (p[v, 1] - x[v, 1])
+            tz += w * (p[v, 2] - x[v, 2])
+        along = tx * ux + ty * uy + tz * uz
+        nx = dragged[n, 0] - (tx - along * ux) / mobility
+        ny = dragged[n, 1] - (ty - along * uy) / mobility
+        nz = dragged[n, 2] - (tz - along * uz) / mobility
         size = math.sqrt(nx * nx + ny * ny + nz * nz)
         limit = friction * after
         if size > limit:
             nx *= limit / size
             ny *= limit / size
             nz *= limit / size
-        tx = nx - contacts.dragged[n, 0]
-        ty = ny - contacts.dragged[n, 1]
-        tz = nz - contacts.dragged[n, 2]
-        contacts.dragged[n, 0] = nx
-        contacts.dragged[n, 1] = ny
-        contacts.dragged[n, 2] = nz
+        tx = nx - dragged[n, 0]
+        ty = ny - dragged[n, 1]
+        tz = nz - dragged[n, 2]
+        dragged[n, 0] = nx
+        dragged[n, 1] = ny
+        dragged[n, 2] = nz
         for k in range(ends):
-            g = w[k] * inverse_masses[q[k]]
-            p[q[k], 0] += g * tx
-            p[q[k], 1] += g * ty
-            p[q[k], 2] += g * tz
+            v = np.uint64(quads[n, k])
+            g = weights[n, k] * inverse_masses[v]
+            p[v, 0] += g * tx
+            p[v, 1] += g * ty
+            p[v, 2] += g * tz
 
 
 @device
-def sweep_all(x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs):
+def project_cloth(p, cloth, dt, multipliers, runs, once):
+    """One sweep over the cloth's own energies; runs: its springs and the space for them, or None."""
+    if runs is None:
+        project_elastic(p, cloth, dt, multipliers)
+    else:
+        project_in_runs(p, runs[0], runs[1], once)
+
+
+@device
+def forget_multipliers(multipliers, runs):
+    """Those of a new substep are zero."""
+    if runs is None:
+        multipliers[:] = 0.0
+    else:
+        runs[1].multipliers[:] = 0.0
+
+
+@device
+def sweep_all(
+    x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs, runs
+):
     """See `solve`."""
-    multipliers[:] = 0.0
+    forget_multipliers(multipliers, runs)
     grips.multipliers[:] = 0.0
     for _ in range(motion.sweeps):
         if with_springs:
-            project_elastic(p, cloth, motion.dt, multipliers)
+            project_cloth(p, cloth, motion.dt, multipliers, runs, motion.sweeps == 1)
         hold_grips(p, cloth.inverse_masses, grips, motion.dt, (substep + 1) * motion.dt)
         project_contacts(x, p, cloth.inverse_masses, contacts, count, friction, motion.dt)
         keep_above_ground(x, p, cloth.inverse_masses, radii, ground)
 
 
 @kernel
-def solve(x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs):
-    """Sweeps over springs, grips, contacts and ground, contact last; `with_springs` is off for explicit integration."""
+def solve(
+    x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs, runs
+):
+    """Sweeps over springs, grips, contacts and ground, contact last; `with_springs` is off for explicit integration.
+
+    runs: `spring_runs.SpringRuns` and `RunSpace`, if all energies are springs that stand in runs, or None.
+    """
     sweep_all(
-        x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs
+        x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs, runs
     )
     add_grip_forces(grips, motion.dt)
 
@@ -269,21 +330,23 @@ def take_rebound(v, inverse_masses, contacts, count, dt):
         if contacts.pressed[n] <= 0.0:
             continue
         ends = contacts.ends[n]
-        q = contacts.quads[n]
-        w = contacts.weights[n]
-        normal = contacts.normals[n]
+        ux = contacts.normals[n, 0]
+        uy = contacts.normals[n, 1]
+        uz = contacts.normals[n, 2]
         speed = 0.0
         for k in range(ends):
-            speed += w[k] * (normal[0] * v[q[k], 0] + normal[1] * v[q[k], 1] + normal[2] * v[q[k], 2])
+            i = contacts.quads[n, k]
+            speed += contacts.weights[n, k] * (ux * v[i, 0] + uy * v[i, 1] + uz * v[i, 2])
         allowed = max(0.0, contacts.approach[n] / dt)
         if speed <= allowed:
             continue
         impulse = (allowed - speed) / contacts.mobility[n]
         for k in range(ends):
-            g = impulse * w[k] * inverse_masses[q[k]]
-            v[q[k], 0] += g * normal[0]
-            v[q[k], 1] += g * normal[1]
-            v[q[k], 2] += g * normal[2]
+            i = contacts.quads[n, k]
+            g = impulse * contacts.weights[n, k] * inverse_masses[i]
+            v[i, 0] += g * ux
+            v[i, 1] += g * uy
+            v[i, 2] += g * uz
 
 
 @kernel

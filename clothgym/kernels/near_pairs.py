@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
 from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle
 
 ACTIVE = 1.25
@@ -46,16 +46,17 @@ class Watched(NamedTuple):
     ways: NDArray  # (K,) near: how far they have moved against each other since [m]
     holds: NDArray  # (K,) far: way of all vertices [m] up to which it is; near: -inf; left alone: inf
     states: NDArray  # (K,) uint8
-    weights: NDArray  # (K, 4) near: signed barycentric weights of the closest points, sum 0
+    weights: NDArray  # (K, 4) near, and all where pairs were found: signed barycentric weights of the closest points, sum 0
     separation: NDArray  # (K, 4) near: direction from the second side to the first, distance; -1 = nothing is certified
     seen: NDArray  # (V, 3) where all vertices were at the last look [m]
     links: NDArray  # (K,) int64 scratch: the next near pair of the same vertex with a triangle, -1 = none
     heads: NDArray  # (V,) int64 scratch: the first one
     moves: NDArray  # (V, 6) scratch: way since the last look, way ahead [m]
+    sizes: NDArray  # (V,) scratch: way since the last look, less what all went on average [m]
     least: NDArray  # (4,) [m] what the pair that can bear least allows, and how far all have come
 
 
-@device
+@inlined
 def closest_weights(x, quads, n, kind):
     """Signed barycentric weights of the closest points, positive for the first side."""
     if kind == 0:
@@ -65,12 +66,12 @@ def closest_weights(x, quads, n, kind):
     return 1.0 - s, s, -(1.0 - t), -t
 
 
-@device
+@inlined
 def combine(x, quads, n, w0, w1, w2, w3, c):
     return w0 * x[quads[n, 0], c] + w1 * x[quads[n, 1], c] + w2 * x[quads[n, 2], c] + w3 * x[quads[n, 3], c]
 
 
-@device
+@inlined
 def left_apart(apart, quads, n, kind, both):
     """Whether contact leaves this pair alone because it lies beside an intersection."""
     if kind == 0:
@@ -83,24 +84,27 @@ def left_apart(apart, quads, n, kind, both):
 
 
 @device
+def _drift(p, seen):
+    """How far all went on average."""
+    mx = 0.0
+    my = 0.0
+    mz = 0.0
+    for i in range(p.shape[0]):
+        mx += p[i, 0] - seen[i, 0]
+        my += p[i, 1] - seen[i, 1]
+        mz += p[i, 2] - seen[i, 2]
+    return mx / p.shape[0], my / p.shape[0], mz / p.shape[0]
+
+
+@device
 def spread(p, watched):
     """Twice the longest way [m] since the last look, less what all go on average: no two vertices moved further against
     each other."""
     seen = watched.seen
-    count = p.shape[0]
-    mx = 0.0
-    my = 0.0
-    mz = 0.0
-    for i in range(count):
-        mx += p[i, 0] - seen[i, 0]
-        my += p[i, 1] - seen[i, 1]
-        mz += p[i, 2] - seen[i, 2]
-    mx /= count
-    my /= count
-    mz /= count
+    mx, my, mz = _drift(p, seen)
     most = 0.0
     total = 0.0
-    for i in range(count):
+    for i in range(p.shape[0]):
         dx = p[i, 0] - seen[i, 0] - mx
         dy = p[i, 1] - seen[i, 1] - my
         dz = p[i, 2] - seen[i, 2] - mz
@@ -110,7 +114,7 @@ def spread(p, watched):
     return 2.0 * math.sqrt(most) + (total - total)
 
 
-@device
+@inlined
 def _square(moves, i, j, c):
     dx = moves[i, c] - moves[j, c]
     dy = moves[i, c + 1] - moves[j, c + 1]
@@ -118,7 +122,7 @@ def _square(moves, i, j, c):
     return dx * dx + dy * dy + dz * dz
 
 
-@device
+@inlined
 def _relative(moves, quads, n, kind, c):
     """How far both sides can have moved against each other [m]."""
     i = np.uint64(quads[n, 0])
@@ -136,24 +140,42 @@ def _relative(moves, quads, n, kind, c):
     return math.sqrt(one)
 
 
-@device
-def _measure(x, n, watched):
-    """Closest points of a pair at x, written; returns their distance, 0 if they touch."""
-    quads = watched.quads
-    w0, w1, w2, w3 = closest_weights(x, quads, n, watched.kinds[n])
+@inlined
+def _at_most(sizes, quads, n, kind):
+    """No less than `_relative`, and far cheaper."""
+    a = sizes[np.uint64(quads[n, 0])]
+    b = sizes[np.uint64(quads[n, 1])]
+    c = sizes[np.uint64(quads[n, 2])]
+    d = sizes[np.uint64(quads[n, 3])]
+    c = c if c > d else d
+    if kind == 0:
+        return a + (b if b > c else c)
+    return (a if a > b else b) + c
+
+
+@inlined
+def _measure(x, n, quads, kinds, weights, separation, known):
+    """Closest points of a pair at x, written; returns their distance, 0 if they touch. `known`: the weights are those at x."""
+    if known:
+        w0 = weights[n, 0]
+        w1 = weights[n, 1]
+        w2 = weights[n, 2]
+        w3 = weights[n, 3]
+    else:
+        w0, w1, w2, w3 = closest_weights(x, quads, n, kinds[n])
     nx = combine(x, quads, n, w0, w1, w2, w3, 0)
     ny = combine(x, quads, n, w0, w1, w2, w3, 1)
     nz = combine(x, quads, n, w0, w1, w2, w3, 2)
     distance = math.sqrt(nx * nx + ny * ny + nz * nz)
     if distance < 1e-12:
         return 0.0
-    watched.weights[n, 0] = w0
-    watched.weights[n, 1] = w1
-    watched.weights[n, 2] = w2
-    watched.weights[n, 3] = w3
-    watched.separation[n, 0] = nx / distance
-    watched.separation[n, 1] = ny / distance
-    watched.separation[n, 2] = nz / distance
+    weights[n, 0] = w0
+    weights[n, 1] = w1
+    weights[n, 2] = w2
+    weights[n, 3] = w3
+    separation[n, 0] = nx / distance
+    separation[n, 1] = ny / distance
+    separation[n, 2] = nz / distance
     return distance
 
 
@@ -167,14 +189,32 @@ def look(x, p, watched, count, apart, both, leave):
     """
     moves = watched.moves
     seen = watched.seen
-    came = watched.least[WAY] + spread(x, watched)
+    sizes = watched.sizes
+    way = spread(x, watched)
+    # where pairs were found, their closest points are known; all may have gone a common way since
+    known = watched.least[WAY] == 0.0 and way == 0.0
+    came = watched.least[WAY] + way
+    mx, my, mz = _drift(x, seen)
     for i in range(x.shape[0]):
+        dx = x[i, 0] - seen[i, 0] - mx
+        dy = x[i, 1] - seen[i, 1] - my
+        dz = x[i, 2] - seen[i, 2] - mz
+        sizes[i] = math.sqrt(dx * dx + dy * dy + dz * dz)
         for c in range(3):
             moves[i, c] = x[i, c] - seen[i, c]
             moves[i, 3 + c] = p[i, c] - x[i, c]
             seen[i, c] = x[i, c]
     goes = came + spread(p, watched)
+    # taken out of their tuple once: in the loop, each would be counted as a reference
+    quads = watched.quads
+    kinds = watched.kinds
+    rests = watched.rest
+    gaps = watched.gaps
+    ways = watched.ways
     holds = watched.holds
+    states = watched.states
+    weights = watched.weights
+    separation = watched.separation
     due = math.inf
     proof = math.inf
     opens = math.inf
@@ -184,42 +224,44 @@ def look(x, p, watched, count, apart, both, leave):
         if hold > goes:
             opens = hold if hold < opens else opens
             continue
-        rest = watched.rest[n]
-        kind = watched.kinds[n]
-        if watched.states[n] == NEAR:
-            way = watched.ways[n] + _relative(moves, watched.quads, n, kind, 0)
-            gap = watched.gaps[n]
+        rest = rests[n]
+        kind = kinds[n]
+        if states[n] == NEAR:
+            gap = gaps[n]
             limit = min(_REFRESH * rest, 0.5 * gap)
+            way = ways[n] + _at_most(sizes, quads, n, kind)
+            if not way <= 0.5 * limit:
+                way = ways[n] + _relative(moves, quads, n, kind, 0)
             if way <= 0.5 * limit:
-                watched.ways[n] = way
+                ways[n] = way
                 due = min(due, limit - way)
-                if watched.separation[n, 3] >= 0.0:
+                if separation[n, 3] >= 0.0:
                     proof = min(proof, gap - way - KEEP * min(gap, rest))
                 continue
         # what is known no longer suffices
-        beside = left_apart(apart, watched.quads, n, kind, both)
-        watched.separation[n, 3] = -1.0
+        beside = left_apart(apart, quads, n, kind, both)
+        separation[n, 3] = -1.0
         if beside and leave:
-            watched.states[n] = LEFT
+            states[n] = LEFT
             holds[n] = math.inf
             continue
         measured += 1
-        gap = _measure(x, n, watched)
-        watched.gaps[n] = gap
-        watched.ways[n] = 0.0
+        gap = _measure(x, n, quads, kinds, weights, separation, known)
+        gaps[n] = gap
+        ways[n] = 0.0
         holds[n] = -math.inf
         if gap == 0.0:
-            watched.states[n] = TOUCHING
+            states[n] = TOUCHING
             due = 0.0
-        elif gap > _AWAY * rest and gap - _relative(moves, watched.quads, n, kind, 3) > ACTIVE * rest:
-            watched.states[n] = FAR
+        elif gap > _AWAY * rest and gap - _relative(moves, quads, n, kind, 3) > ACTIVE * rest:
+            states[n] = FAR
             holds[n] = came + gap - ACTIVE * rest
             opens = min(opens, holds[n])
         else:
-            watched.states[n] = NEAR
+            states[n] = NEAR
             due = min(due, _REFRESH * rest, 0.5 * gap)
             if not beside:
-                watched.separation[n, 3] = gap
+                separation[n, 3] = gap
                 proof = min(proof, gap - KEEP * min(gap, rest))
     watched.least[WAY] = came
     watched.least[OPEN] = opens - came

@@ -11,7 +11,12 @@ import math
 import numpy as np
 
 from clothgym._jit import device, kernel
-from clothgym.kernels.primitives import edge_edge_distance, vertex_triangle_distance
+from clothgym.kernels.primitives import (
+    closest_on_edges,
+    closest_on_triangle,
+    edge_edge_distance,
+    vertex_triangle_distance,
+)
 
 
 @device
@@ -23,12 +28,11 @@ def _travel(u, i, j):
 
 
 @device
-def _emit(quads, kinds, rest, gaps, found, a, b, c, d, kind, thickness, gap):
+def _emit(quads, kinds, rest, gaps, weights, found, ids, kind, thickness, gap, closest):
     if found < quads.shape[0]:
-        quads[found, 0] = a
-        quads[found, 1] = b
-        quads[found, 2] = c
-        quads[found, 3] = d
+        for k in range(4):
+            quads[found, k] = ids[k]
+            weights[found, k] = closest[k]
         kinds[found] = kind
         rest[found] = thickness
         gaps[found] = gap
@@ -101,8 +105,9 @@ def _edges_apart(x, a0, a1, b0, b1, reach):
 
 
 @device
-def _edge_edge_distance(x, a0, a1, b0, b1):
-    """`primitives.edge_edge_distance` to the last bit, without branches but for edges that are nearly parallel or points."""
+def _closest_on_edges(x, a0, a1, b0, b1):
+    """`primitives.closest_on_edges` and their distance to the last bit, without branches but for edges that are nearly parallel
+    or points."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -119,7 +124,8 @@ def _edge_edge_distance(x, a0, a1, b0, b1):
     b = ux * vx + uy * vy + uz * vz
     denominator = a * e - b * b
     if not denominator > 1e-6 * a * e:
-        return edge_edge_distance(x, a0, a1, b0, b1)
+        s, t = closest_on_edges(x, a0, a1, b0, b1)
+        return s, t, edge_edge_distance(x, a0, a1, b0, b1)
     s = (b * f - c * e) / denominator
     s = s if s > 0.0 else 0.0
     s = s if s < 1.0 else 1.0
@@ -133,16 +139,22 @@ def _edge_edge_distance(x, a0, a1, b0, b1):
     dx = x[a0, 0] + s * ux - x[b0, 0] - t * vx
     dy = x[a0, 1] + s * uy - x[b0, 1] - t * vy
     dz = x[a0, 2] + s * uz - x[b0, 2] - t * vz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    return s, t, math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@device
+def _edge_edge_distance(x, a0, a1, b0, b1):
+    """Distance [m] of two edges."""
+    return _closest_on_edges(x, a0, a1, b0, b1)[2]
 
 
 @kernel
-def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds, rest, gaps):
+def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds, rest, gaps, weights):
     """Pairs of primitives that can come within their thickness while every vertex moves by u, within its slack [m].
 
     x, u (V, 3): positions and expected displacements; thickness, slack (V,); vertex_face (C, 2) and edge_edge (C, 2): pairs of
     primitives whose swept, inflated boxes overlap. Returns the number found; as many as fit into quads (K, 4) are written, with
-    their kinds, thickness and distance at x (K,).
+    their kinds, thickness and distance (K,) and the signed weights (K, 4) of their closest points at x.
 
     A pair stays if its distance now is within thickness + relative travel + slack.
     """
@@ -158,9 +170,14 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
         reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
         if _vertex_triangle_apart(x, v, a, b, c, reach):
             continue
-        gap = vertex_triangle_distance(x, v, a, b, c)
+        wa, wb, wc = closest_on_triangle(x, v, a, b, c)
+        dx = x[v, 0] - wa * x[a, 0] - wb * x[b, 0] - wc * x[c, 0]
+        dy = x[v, 1] - wa * x[a, 1] - wb * x[b, 1] - wc * x[c, 1]
+        dz = x[v, 2] - wa * x[a, 2] - wb * x[b, 2] - wc * x[c, 2]
+        gap = math.sqrt(dx * dx + dy * dy + dz * dz)
         if gap <= reach:
-            found = _emit(quads, kinds, rest, gaps, found, v, a, b, c, 0, least, gap)
+            closest = (1.0, -wa, -wb, -wc)
+            found = _emit(quads, kinds, rest, gaps, weights, found, (v, a, b, c), 0, least, gap, closest)
     for n in range(edge_edge.shape[0]):
         e = edge_edge[n, 0]
         f = edge_edge[n, 1]
@@ -175,9 +192,10 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
         )
         if _edges_apart(x, a0, a1, b0, b1, reach):
             continue
-        gap = _edge_edge_distance(x, a0, a1, b0, b1)
+        s, t, gap = _closest_on_edges(x, a0, a1, b0, b1)
         if gap <= reach:
-            found = _emit(quads, kinds, rest, gaps, found, a0, a1, b0, b1, 1, least, gap)
+            closest = (1.0 - s, s, -(1.0 - t), -t)
+            found = _emit(quads, kinds, rest, gaps, weights, found, (a0, a1, b0, b1), 1, least, gap, closest)
     return found
 
 

@@ -113,6 +113,7 @@ class Candidates:
                 self.watched.kinds,
                 self.watched.rest,
                 self.watched.gaps,
+                self.watched.weights,
             )
             if found <= len(self.watched.quads):
                 break
@@ -151,6 +152,7 @@ def watched_pairs(capacity: int, vertex_count: int) -> Watched:
         np.zeros(capacity, np.int64),
         np.zeros(vertex_count, np.int64),
         np.zeros((vertex_count, 6)),
+        np.zeros(vertex_count),
         np.zeros(4),
     )
 

@@ -61,7 +61,7 @@ class ContactSubsteps:
         self.kernels.solve(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
             model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),
-            s.integrator.multipliers, substep, s.integrator.in_sweeps,
+            s.integrator.multipliers, substep, s.integrator.in_sweeps, s.integrator.spring_runs,
         )  # fmt: skip
 
     def _answer(self, frame: Frame) -> None:
@@ -83,7 +83,7 @@ class ContactSubsteps:
             done = self.flat_substeps(
                 state.positions, state.velocities, frame.predicted, self.kept, frame.model.arrays, s.radii, motion, s.ground,
                 frame.grips, s.integrator.multipliers, done, done + horizon, base, horizon, found.sheets.sheets,
-                found.sheets.tube,
+                found.sheets.tube, s.integrator.spring_runs,
             )  # fmt: skip
             if done == s.substeps:
                 return done
@@ -126,7 +126,7 @@ class ContactSubsteps:
             kernels.Expected(found.start, found.travel, found.slack, self.base, self.horizon),
             found.watched, found.count, self.contacts.known, self.contacts.arrays,
             kernels.Rules(model.friction, *self.near, self.rounds, model.thickness, self.apart),
-            self.pushes, self.clamped, self.work,
+            self.pushes, self.clamped, self.work, s.integrator.spring_runs,
         )  # fmt: skip
         if done > first:
             frame.clamped = int(tight)

@@ -101,16 +101,23 @@ def _share_room(p, contacts, count, clamped, push):
 
 @device
 def _any_tight(p, contacts, count):
+    quads = contacts.quads
+    weights = contacts.weights
+    normals = contacts.normals
+    pressed = contacts.pressed
+    limit = contacts.limit
+    rest = contacts.rest
+    live = contacts.live
     for m in range(count):
-        n = contacts.live[m]
-        if contacts.pressed[n] <= 0.0 or contacts.limit[n] < math.inf:
+        n = live[m]
+        if pressed[n] <= 0.0 or limit[n] < math.inf:
             continue
         gap = 0.0
-        for k in range(contacts.ends[n]):
-            v = contacts.quads[n, k]
-            for c in range(3):
-                gap += contacts.weights[n, k] * contacts.normals[n, c] * p[v, c]
-        if not gap >= _TIGHT * contacts.rest[n]:
+        for k in range(4):
+            v = quads[n, k]
+            along = normals[n, 0] * p[v, 0] + normals[n, 1] * p[v, 1] + normals[n, 2] * p[v, 2]
+            gap += weights[n, k] * along
+        if not gap >= _TIGHT * rest[n]:
             return True
     return False
 

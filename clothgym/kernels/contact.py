@@ -158,16 +158,19 @@ def _start(x, p, contacts, count, reach):
     rest = contacts.rest
     pressed = contacts.pressed
     mobility = contacts.mobility
+    rows = contacts.live
+    dragged = contacts.dragged
+    ends = contacts.ends
     for n in range(count):
         pressed[n] = 0.0
         if clear[n] > reach + _LEEWAY * rest[n] or mobility[n] == 0.0:
             continue
-        contacts.live[live] = n
+        rows[live] = n
         live += 1
         for c in range(3):
-            contacts.dragged[n, c] = 0.0
+            dragged[n, c] = 0.0
         approach = 0.0
-        for k in range(contacts.ends[n]):
+        for k in range(ends[n]):
             v = quads[n, k]
             along = 0.0
             for c in range(3):
@@ -325,25 +328,30 @@ def solve(
 @device
 def take_rebound(v, inverse_masses, contacts, count, dt):
     """See `stop_rebound`."""
+    quads = contacts.quads
+    weights = contacts.weights
+    normals = contacts.normals
+    pressed = contacts.pressed
+    live = contacts.live
     for m in range(count):
-        n = contacts.live[m]
-        if contacts.pressed[n] <= 0.0:
+        n = live[m]
+        if pressed[n] <= 0.0:
             continue
         ends = contacts.ends[n]
-        ux = contacts.normals[n, 0]
-        uy = contacts.normals[n, 1]
-        uz = contacts.normals[n, 2]
+        ux = normals[n, 0]
+        uy = normals[n, 1]
+        uz = normals[n, 2]
         speed = 0.0
         for k in range(ends):
-            i = contacts.quads[n, k]
-            speed += contacts.weights[n, k] * (ux * v[i, 0] + uy * v[i, 1] + uz * v[i, 2])
+            i = quads[n, k]
+            speed += weights[n, k] * (ux * v[i, 0] + uy * v[i, 1] + uz * v[i, 2])
         allowed = max(0.0, contacts.approach[n] / dt)
         if speed <= allowed:
             continue
         impulse = (allowed - speed) / contacts.mobility[n]
         for k in range(ends):
-            i = contacts.quads[n, k]
-            g = impulse * contacts.weights[n, k] * inverse_masses[i]
+            i = quads[n, k]
+            g = impulse * weights[n, k] * inverse_masses[i]
             v[i, 0] += g * ux
             v[i, 1] += g * uy
             v[i, 2] += g * uz

@@ -28,6 +28,9 @@ KEEP = 0.2
 _REFRESH = 0.25
 """Thicknesses, and twice the share of the distance, that near pairs move before their closest points are found again."""
 
+_LEAD = 4.0
+"""Substeps like the next one for which far pairs should not need another look, if that is a short way."""
+
 FAR, NEAR, TOUCHING, LEFT = 0, 1, 2, 3
 """Touching pairs have no side to keep; those left alone lie beside an intersection."""
 
@@ -204,7 +207,9 @@ def look(x, p, watched, count, apart, both, leave):
             moves[i, c] = x[i, c] - seen[i, c]
             moves[i, 3 + c] = p[i, c] - x[i, c]
             seen[i, c] = x[i, c]
-    goes = came + spread(p, watched)
+    ahead = spread(p, watched)
+    # what is due within the next few substeps is not left to looks of their own
+    goes = came + ahead + min(_LEAD * ahead, 0.5 * _REFRESH * watched.rest[0])
     # taken out of their tuple once: in the loop, each would be counted as a reference
     quads = watched.quads
     kinds = watched.kinds

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
 from clothgym.kernels.primitives import (
     closest_on_edges,
     closest_on_triangle,
@@ -19,7 +19,7 @@ from clothgym.kernels.primitives import (
 )
 
 
-@device
+@inlined
 def _travel(u, i, j):
     dx = u[i, 0] - u[j, 0]
     dy = u[i, 1] - u[j, 1]
@@ -27,7 +27,7 @@ def _travel(u, i, j):
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@device
+@inlined
 def _emit(quads, kinds, rest, gaps, weights, found, ids, kind, thickness, gap, closest):
     if found < quads.shape[0]:
         for k in range(4):
@@ -39,7 +39,7 @@ def _emit(quads, kinds, rest, gaps, weights, found, ids, kind, thickness, gap, c
     return found + 1
 
 
-@device
+@inlined
 def _vertex_triangle_apart(x, v, a, b, c, reach):
     """Whether the plane, or one across the line from the triangle's centre to the vertex, keeps both further apart than `reach`
     [m], by a safe margin. Spares most pairs their closest points."""
@@ -72,7 +72,7 @@ def _vertex_triangle_apart(x, v, a, b, c, reach):
     return across | ((gap * gap > far * nn) & (nn > 1e-12 * size * size * size * size))
 
 
-@device
+@inlined
 def _edges_apart(x, a0, a1, b0, b1, reach):
     """The same for two edges: across the line of their middles, or by the distance of their lines."""
     ux = x[a1, 0] - x[a0, 0]
@@ -104,7 +104,7 @@ def _edges_apart(x, a0, a1, b0, b1, reach):
     return across | ((gap * gap > far * nn) & (nn > 1e-12 * size * size * size * size))
 
 
-@device
+@inlined
 def _closest_on_edges(x, a0, a1, b0, b1):
     """`primitives.closest_on_edges` and their distance to the last bit, without branches but for edges that are nearly parallel
     or points."""

@@ -16,6 +16,8 @@ from clothgym.kernels.spring_runs import project_in_runs
 
 _LEEWAY = 0.05
 """Thicknesses that sweeps are taken to move a vertex: contacts that are open by more than that and the expected motion rest."""
+_NO_WEIGHT = 1e-12
+"""Less is what rounding leaves of a vertex that takes no part."""
 CROSSING = 0.9
 """Thicknesses that crossing edges keep."""
 
@@ -83,7 +85,7 @@ def _is_nearest(n, quads, weights, gaps, links, first):
             for k in range(1, 4):
                 v = quads[n, k]
                 here = v == quads[m, 1] or v == quads[m, 2] or v == quads[m, 3]
-                around = around and (here or weights[n, k] == 0.0)
+                around = around and (here or abs(weights[n, k]) < _NO_WEIGHT)
             if around:
                 return False
         m = links[m]
@@ -115,7 +117,7 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
             continue
         ends = 0
         for k in range(4):
-            ends += weights[n, k] != 0.0
+            ends += abs(weights[n, k]) >= _NO_WEIGHT
         crossing = kinds[n] == 1
         if ends < 4 and (crossing or not _is_nearest(n, quads, weights, gaps, links, heads[quads[n, 0]])):
             continue
@@ -126,7 +128,7 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
         mobility = 0.0
         for k in range(4):
             w = weights[n, k]
-            if w != 0.0:
+            if abs(w) >= _NO_WEIGHT:
                 contacts.quads[found, ends] = quads[n, k]
                 contacts.weights[found, ends] = w
                 mobility += w * w * inverse_masses[quads[n, k]]

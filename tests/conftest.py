@@ -9,6 +9,7 @@ import pytest
 def substeps(monkeypatch):
     """A list that collects (x, p), where every substep with contact starts and ends, while a simulation runs."""
     from clothgym.kernels import integrate
+    from clothgym.stages.contact import ContactSubsteps
 
     recorded = []
     finish = integrate.finish
@@ -18,4 +19,5 @@ def substeps(monkeypatch):
         finish(x, v, p, dt)
 
     monkeypatch.setattr(integrate, "finish", recording)
+    monkeypatch.setattr(ContactSubsteps, "in_one_kernel", False)  # nothing can be seen in there
     return recorded

@@ -13,11 +13,13 @@ import clothgym as cg
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.detection.mezger import MezgerHierarchy
-from clothgym.kernels import certificate
+from clothgym.detection.sides import Sides
+from clothgym.kernels import certificate, near_pairs
 from clothgym.kernels import contact as kernels
 from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
-from clothgym.response.contact import Candidates, ContactBuffers
+from clothgym.response.contact import Candidates, ContactBuffers, watched_pairs
+from clothgym.stages.contact import ContactSubsteps
 
 CONTACT_ONLY = cg.Fidelity(untangling="none", substeps=4, flat_check=False)
 
@@ -39,17 +41,20 @@ def stack(count: int = 3, cells: int = 3, gap: float = 0.03, pinned=(), **settin
     return cg.Scene(cloths, **scene)
 
 
-def narrowed(x, p, quads, kinds, thickness, apart=None) -> tuple[ContactBuffers, np.ndarray]:
-    """Active contacts and the separation of every given pair."""
-    thickness = np.full(len(x), float(thickness))
+def narrowed(x, p, quads, kinds, thickness, apart=None, w=None) -> tuple[ContactBuffers, near_pairs.Watched]:
+    """Contacts on the way from x to p, and what is known of every given pair."""
+    w = np.ones(len(x)) if w is None else w
     pairs = SimpleNamespace(
-        quads=np.ascontiguousarray(quads, np.int32), kinds=np.asarray(kinds, np.uint8), count=len(quads),
-        model=SimpleNamespace(thickness=thickness), separation=np.zeros((len(quads), 4)),
-    )  # fmt: skip
+        watched=watched_pairs(len(quads), len(x)), count=len(quads), model=SimpleNamespace(inverse_masses=w)
+    )
+    pairs.watched.quads[:], pairs.watched.kinds[:], pairs.watched.rest[:] = quads, kinds, thickness
+    # nothing is known of any distance: every pair is measured
+    near_pairs.begin(x, pairs.watched, len(quads))
+    pairs.watched.least[near_pairs.WAY] = 1.0
     buffers = ContactBuffers(16)
     apart = np.zeros(len(x), np.bool_) if apart is None else apart
     buffers.narrow(x, p, pairs, apart, False, 0.0)
-    return buffers, pairs.separation
+    return buffers, pairs.watched
 
 
 def every_quad(faces) -> tuple[np.ndarray, np.ndarray]:
@@ -78,21 +83,24 @@ def clouds(seed: int):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_closest_points_are_the_closest(kind, seed):
     x, quads = clouds(seed)
-    buffers, separation = narrowed(x, x, quads, np.full(len(quads), kind), 100.0)
+    buffers, watched = narrowed(x, x, quads, np.full(len(quads), kind), 100.0)
+    separation = watched.separation
     corners = [x[quads[:, k]] for k in range(4)]
     expected = (naive.point_triangle if kind == 0 else naive.segment_segment)(*corners)
     touching = expected < 1e-12
     found = np.where(separation[:, 3] < 0, 0.0, separation[:, 3])
     assert found == pytest.approx(expected, abs=1e-9, rel=1e-9)
-    active = buffers.active
-    assert active == (separation[:, 3] >= 0).sum() >= len(quads) - touching.sum() - 5
-    weights = buffers.arrays.weights[:active]
+    proper = separation[:, 3] >= 0
+    assert proper.sum() >= len(quads) - touching.sum() - 5
+    weights = watched.weights[proper]
     sides = [slice(0, 1), slice(1, 4)] if kind == 0 else [slice(0, 2), slice(2, 4)]
     for side, total in zip(sides, (1.0, -1.0), strict=True):
         assert weights[:, side].sum(axis=1) == pytest.approx(total, abs=1e-12)
         assert (weights[:, side] * total >= -1e-12).all()
-    between = np.einsum("nk,nkc->nc", weights, x[buffers.arrays.quads[:active]])
-    proper = separation[:, 3] >= 0
+    between = np.einsum("nk,nkc->nc", weights, x[quads[proper]])
+    # every pair has vertices of its own: all vertices with a triangle press, and all edges that cross
+    inside = (np.abs(weights) > 0).all(axis=1)
+    assert buffers.active == (proper.sum() if kind == 0 else inside.sum())
     assert between == pytest.approx(separation[proper, :3] * separation[proper, 3:], abs=1e-9)
     assert np.linalg.norm(separation[proper, :3], axis=1) == pytest.approx(1.0)
 
@@ -120,9 +128,10 @@ def test_a_pair_is_active_from_its_predicted_distance():
     for lift, active in ((0.126, 0), (0.124, 1), (-3.0, 1)):  # 1.25 thicknesses
         p = x.copy()
         p[0, 1] = lift
-        buffers, separation = narrowed(x, p, [[0, 1, 2, 3]], [0], 0.1)
+        buffers, watched = narrowed(x, p, [[0, 1, 2, 3]], [0], 0.1)
         assert buffers.active == active
-        assert separation[0] == pytest.approx([0, 1, 0, 0.5])
+        assert watched.gaps[0] == pytest.approx(0.5)
+        assert watched.separation[0] == pytest.approx([0, 1, 0, 0.5 if active else -1.0])
     assert buffers.arrays.approach[0] == pytest.approx(-3.5)
 
 
@@ -131,9 +140,9 @@ def test_pairs_beside_an_intersection_are_left_alone():
     for marked in range(4):
         apart = np.zeros(4, np.bool_)
         apart[marked] = True
-        buffers, separation = narrowed(x, x, [[0, 1, 2, 3]], [0], 0.1, apart)
+        buffers, watched = narrowed(x, x, [[0, 1, 2, 3]], [0], 0.1, apart)
         assert buffers.active == 0
-        assert separation[0, 3] < 0
+        assert watched.separation[0, 3] < 0
 
 
 def test_contact_buffers_grow():
@@ -236,13 +245,12 @@ def test_trees_differ_only_in_what_they_reject():
         Hierarchy(model.surface, x, 6, 2), Hierarchy(model.surface, x, 26, 8), BruteForce(model.surface, x), paper,
     ):  # fmt: skip
         candidates = Candidates(model, tree)
-        candidates.quads = np.zeros((3, 4), np.int32)  # far too small: grows by counting
-        candidates.kinds = np.zeros(3, np.uint8)
+        candidates.watched = watched_pairs(3, len(x))  # far too small: grows by counting
         candidates.expect(x, travel)
         candidates.gather()
         results.append(listed(candidates))
         assert candidates.count > 100
-        assert len(candidates.separation) >= candidates.count
+        assert len(candidates.watched.separation) >= candidates.count
     assert results[1] == results[2] == results[3], "boxes on all axes reject what the primitives' own boxes reject"
     assert results[1] < results[0]
 
@@ -284,9 +292,9 @@ def test_certified_paths_never_cross(seed, rounds):
     both = naive.all_quads(model.faces)
     assert not cg.intersections(x, model.surface).hit_count
     assert naive.collisions(x, p, model.faces, quads=both), "nothing would cross: the test shows nothing"
-    _, separation = narrowed(x, p, quads, kinds, model.thickness.min())
+    _, watched = narrowed(x, p, quads, kinds, model.thickness.min())
     before = p.copy()
-    certificate.certify(x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, rounds)
+    certificate.certify(x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), watched.separation, rounds)
     assert naive.collisions(x, p, model.faces, quads=both) == []
     for time in np.linspace(0, 1, 21):
         assert cg.intersections(x + time * (p - x), model.surface).hit_count == 0
@@ -301,10 +309,10 @@ def test_certify_leaves_safe_paths_alone():
     model = ClothModel(scene)
     p = scene.start + np.random.default_rng(0).normal(0, 0.002, scene.start.shape)
     quads, kinds = every_quad(model.faces)
-    _, separation = narrowed(scene.start, p, quads, kinds, 0.01)
+    _, watched = narrowed(scene.start, p, quads, kinds, 0.01)
     before = p.copy()
     result = certificate.certify(
-        scene.start, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), separation, 8
+        scene.start, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), watched.separation, 8
     )
     assert tuple(result) == (0, 0)
     assert (p == before).all()
@@ -318,8 +326,8 @@ def test_certify_alone_stops_one_vertex_at_one_triangle():
     quads, kinds = np.array([[0, 1, 2, 3]], np.int32), np.zeros(1, np.uint8)
     for rounds in (0, 20):
         q = p.copy()
-        _, separation = narrowed(x, q, quads, kinds, 0.1)
-        certificate.certify(x, q, w, np.full(4, 0.1), quads, kinds, 1, separation, rounds)
+        _, watched = narrowed(x, q, quads, kinds, 0.1)
+        certificate.certify(x, q, w, np.full(4, 0.1), quads, kinds, 1, watched.separation, rounds)
         assert q[0, 1] - q[1:, 1].max() >= 0.01 - 1e-12
         assert (q - p).T @ (1 / w) == pytest.approx(0.0, abs=1e-12)
 
@@ -375,14 +383,84 @@ def test_a_sheet_shot_at_another_does_not_pass_through(substeps, integrator, pin
     velocities = np.zeros_like(scene.start)
     velocities[~lower, 1] = -50.0
     sim.set_velocities(velocities)
+    sides = Sides(sim.model.faces, *(vertices for _, vertices, _ in sim.model.ranges))
+    required = sides.signs(scene.start)
+    assert np.count_nonzero(required) > 4
     for number in range(3):
         sim.step()
         assert cg.intersections(sim.positions, sim.model.surface).hit_count == 0
-        if not pinned and number == 0:  # later they are wrapped around each other and heights say nothing
-            assert sim.positions[~lower, 1].mean() > sim.positions[lower, 1].mean()
+        if not pinned and number == 0:  # later they are wrapped around each other and sides say nothing
+            assert sides.error(sim.positions, required) == 0.0
     assert sim.metrics()["work"]["contacts"] > 0
     for x, p in substeps:  # no crossing on any straight way is the proof, at every substep
         assert naive.collisions(x, p, sim.model.faces, quads=both) == []
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# pairs under watch
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_that_are_not_near_stay_apart(seed):
+    """However vertices move between looks: what is far keeps 1.25 thicknesses on its way, near pairs keep a proved gap."""
+    rng = np.random.default_rng(seed)
+    scene = stack(3, 3, gap=0.02, thickness=0.01)
+    model = ClothModel(scene)
+    x = scene.start + rng.normal(0, 0.003, scene.start.shape)
+    quads, kinds = every_quad(model.faces)
+    _, watched = narrowed(x, x, quads, kinds, 0.01)
+    apart = np.zeros(len(x), np.bool_)
+    buffers = ContactBuffers(len(quads))
+    pairs = SimpleNamespace(watched=watched, count=len(quads), model=model)
+    points = kinds == 0
+    left = measured = 0
+    for n in range(40):
+        size = [3e-5, 3e-4, 3e-3][n % 3]
+        p = x + rng.normal(0, size, x.shape) + rng.normal(0, 0.01, 3)  # all together, and each for itself
+        measured += buffers.narrow(x, p, pairs, apart, False, 0.0)
+        before = p.copy()
+        certificate.prove(x, p, model.inverse_masses, model.thickness, watched, len(quads), apart, False, True, 8)
+        assert size > 1e-3 or (p == before).all()
+        for time in (0.0, 0.5, 1.0):
+            now = x + time * (p - x)
+            corners = [now[quads[:, k]] for k in range(4)]
+            distance = np.where(points, naive.point_triangle(*corners), naive.segment_segment(*corners))
+            far = watched.states == near_pairs.FAR
+            assert (distance[far] > 1.25 * 0.01 - 1e-12).all()
+            assert (distance > 0.0).all()
+        left += far.sum()
+        x = p
+    assert left > 1000, "nothing is far: the test shows nothing"
+    assert measured < 0.2 * 40 * len(quads), "everything is measured anew: the test shows nothing"
+
+
+def test_redundant_pairs_press_once():
+    """A vertex over a corner where six triangles meet, and its edges: one contact; over a triangle's inside: one too."""
+    mesh = cg.grid(0.3, 0.3, 3, 3)
+    corner = mesh.vertices[5]
+    for over, ends in ((corner, 2), (corner + [0.04, 0.0, 0.03], 4)):
+        x = np.concatenate([mesh.vertices, over + np.array([[0, 0.008, 0], [0.02, 1.0, 0.2], [-0.02, 1.0, 0.2]])])
+        faces = np.concatenate([mesh.faces, [[16, 17, 18]]])
+        buffers, watched = narrowed(x, x, *every_quad(faces), 0.01)
+        assert (watched.states == near_pairs.NEAR).sum() >= 1 + 5 * (ends == 2)
+        assert buffers.active == 1
+        row = buffers.arrays.live[0]
+        assert buffers.arrays.ends[row] == ends
+        assert buffers.arrays.normals[row] == pytest.approx([0, 1, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("near_hits", ["off_any", "keep"])
+def test_one_kernel_does_what_its_parts_do(monkeypatch, near_hits):
+    """The same bits from all substeps in one kernel, and from one call after the other."""
+    hashes = []
+    for in_one in (True, False):
+        monkeypatch.setattr(ContactSubsteps, "in_one_kernel", in_one)
+        scene = stack(3, 4, gap=0.011, gravity=(0.0, -9.81, 0.0), ground=0.0, pinned=(2,))
+        sim = cg.Simulation(scene, dataclasses.replace(CONTACT_ONLY, substeps=6, contacts_near_hits=near_hits))
+        sim.step(25)
+        assert sim.metrics()["work"]["contacts"] > 0
+        hashes.append((sim.state_hash(), sim.metrics()["work"]["contacts"], sim.metrics()["clamped"]))
+    assert hashes[0] == hashes[1]
 
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -391,12 +469,12 @@ def test_a_sheet_shot_at_another_does_not_pass_through(substeps, integrator, pin
 
 def solved(x, p, w, thickness, friction, sweeps, quads=((0, 1, 2, 3),), kinds=(0,)):
     """Positions after contact sweeps without springs, and the contacts."""
-    buffers, _ = narrowed(x, p, np.array(quads, np.int32), np.array(kinds), thickness)
+    buffers, _ = narrowed(x, p, np.array(quads, np.int32), np.array(kinds), thickness, w=w)
     p = p.copy()
     cloth = cg.kernels.springs.ClothArrays(w, np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0))
     motion = Motion(0.01, sweeps, np.zeros(3), 0.0, np.zeros((0, 3)), -1.0, True)
     kernels.solve(x, p, cloth, buffers.arrays, buffers.active, friction, np.zeros(len(x)), motion, Ground(-np.inf, 0.0),
-                  no_grips(), np.zeros(0), 0, False)  # fmt: skip
+                  no_grips(), np.zeros(0), 0, False, None)  # fmt: skip
     return p, buffers
 
 

@@ -6,13 +6,12 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import device, inlined, kernel
+from clothgym.kernels.near_pairs import KEEP, OPEN, PROOF, look, spread
 
-_KEEP = 0.2
-"""Share of a pair's distance (at most of its thickness) that a substep must leave along the separating direction."""
+_ATTEMPTS = 4
 
-
-@device
+@inlined
 def _extremes(p, quads, n, kind, separation):
     """Gap along the pair's separating direction and the two vertices that bound it."""
     nx = separation[n, 0]
@@ -36,10 +35,10 @@ def _extremes(p, quads, n, kind, separation):
     return low - high, i, j
 
 
-@device
+@inlined
 def _needed(separation, thickness, quads, n):
     h = min(thickness[quads[n, 0]], thickness[quads[n, 1]], thickness[quads[n, 2]], thickness[quads[n, 3]])
-    return _KEEP * min(separation[n, 3], h)
+    return KEEP * min(separation[n, 3], h)
 
 
 @device
@@ -50,8 +49,8 @@ def _find(parent, i):
     return i
 
 
-@kernel
-def certify(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds):
+@device
+def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds):
     """Makes sure that no pair that was apart at x crosses on the straight way to p; changes p where needed.
 
     Two convex primitives whose closest points are d > 0 apart are separated by a plane across the line of these points.
@@ -129,3 +128,45 @@ def certify(x, p, inverse_masses, thickness, quads, kinds, count, separation, ro
             # a lone vertex is its own mean and stays where it was predicted
             for c in range(3):
                 p[i, c] = x[i, c] + mean[root, c] / mass[root]
+
+
+@kernel
+def certify(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds):
+    """See `keep_apart`."""
+    return keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds)
+
+
+@device
+def prove_all(x, p, inverse_masses, thickness, watched, count, apart, both, leave, rounds):
+    """Makes sure that no watched pair crosses on the straight way from x to p; changes p where needed.
+
+    Near pairs are proved by what has moved since they were measured, or by `keep_apart`; far ones by what has moved, and those for
+    which that does not suffice become near. Returns (pairs measured, pairs repaired, vertices moved in zones, 1 where pushing
+    apart what came near brought others near too often, else 0).
+    """
+    measured = 0
+    repaired = 0
+    zoned = 0
+    for attempt in range(_ATTEMPTS):
+        new = 0
+        reach = spread(p, watched)
+        if not reach <= watched.least[OPEN]:
+            new = look(x, p, watched, count, apart, both, leave)
+            reach = spread(p, watched)
+        measured += new
+        if (attempt > 0 and new == 0) or reach <= watched.least[PROOF]:
+            return measured, repaired, zoned, 0
+        pushed, moved = keep_apart(
+            x, p, inverse_masses, thickness, watched.quads, watched.kinds, count, watched.separation, rounds
+        )
+        repaired += pushed
+        zoned += moved
+        if pushed == 0 and moved == 0:
+            return measured, repaired, zoned, 0
+    return measured, repaired, zoned, 1
+
+
+@kernel
+def prove(x, p, inverse_masses, thickness, watched, count, apart, both, leave, rounds):
+    """See `prove_all`."""
+    return prove_all(x, p, inverse_masses, thickness, watched, count, apart, both, leave, rounds)

@@ -9,22 +9,26 @@ from clothgym._jit import device, kernel
 _TIGHT = 0.5
 """Share of the thickness below which a pressed contact counts as tight."""
 
+_SHARINGS = 4
+"""Rounds in which clamped layers share their room: as many layers between two walls take part."""
+
 _BALANCED = 0.5
 """Pushes from opposite sides: their sum is a smaller share of their sizes than this."""
 
 
-@kernel
-def between_layers(p, contacts, count, push, clamped):
+@device
+def _between_layers(p, contacts, count, push, clamped):
     """Marks vertices, clamped (V,), that tight contacts press from opposite sides at the end of a substep; returns how many.
 
-    p (V, 3): positions after the sweeps; contacts: of which the first `count` are active; push (V, 4) or wider is scratch.
+    p (V, 3): positions after the sweeps; contacts: of which `count` are live; push (V, 4) or wider is scratch.
 
     A contact is tight where the sweeps could not keep half its thickness. In a pile at rest every layer is pressed from both
     sides too, but none is tight.
     """
     push[:] = 0.0
     clamped[:] = False
-    for n in range(count):
+    for m in range(count):
+        n = contacts.live[m]
         if contacts.pressed[n] <= 0.0 or contacts.limit[n] < math.inf:
             continue  # beside an intersection, contact gives way
         gap = 0.0
@@ -47,8 +51,8 @@ def between_layers(p, contacts, count, push, clamped):
     return found
 
 
-@kernel
-def share_room(p, contacts, count, clamped, push):
+@device
+def _share_room(p, contacts, count, clamped, push):
     """Moves each clamped vertex into the middle of what presses it, so that no side takes all the room there is.
 
     A sweep satisfies the last contact at the cost of the one before, and within some substeps one side would be pressed to
@@ -57,7 +61,8 @@ def share_room(p, contacts, count, clamped, push):
     """
     push[:] = 0.0
     for turn in range(2):
-        for n in range(count):
+        for m in range(count):
+            n = contacts.live[m]
             if contacts.pressed[n] <= 0.0 or contacts.limit[n] < math.inf:
                 continue
             lack = contacts.rest[n]
@@ -92,6 +97,51 @@ def share_room(p, contacts, count, clamped, push):
         if clamped[v]:
             for c in range(3):
                 p[v, c] += 0.5 * (push[v, c] + push[v, 4 + c])
+
+
+@device
+def _any_tight(p, contacts, count):
+    quads = contacts.quads
+    weights = contacts.weights
+    normals = contacts.normals
+    pressed = contacts.pressed
+    limit = contacts.limit
+    rest = contacts.rest
+    live = contacts.live
+    for m in range(count):
+        n = live[m]
+        if pressed[n] <= 0.0 or limit[n] < math.inf:
+            continue
+        gap = 0.0
+        for k in range(4):
+            v = quads[n, k]
+            along = normals[n, 0] * p[v, 0] + normals[n, 1] * p[v, 1] + normals[n, 2] * p[v, 2]
+            gap += weights[n, k] * along
+        if not gap >= _TIGHT * rest[n]:
+            return True
+    return False
+
+
+@device
+def settle(p, contacts, count, push, clamped):
+    """See `settle_clamped`."""
+    if not _any_tight(p, contacts, count):
+        clamped[:] = False
+        return 0
+    found = _between_layers(p, contacts, count, push, clamped)
+    for _ in range(_SHARINGS if found > 0 else 0):
+        _share_room(p, contacts, count, clamped, push)
+    return found
+
+
+@kernel
+def settle_clamped(p, contacts, count, push, clamped):
+    """Lets vertices that layers clamp, clamped (V,), keep away from both sides alike; returns how many there are.
+
+    p (V, 3): positions after the sweeps, changed at clamped vertices; contacts: of which `count` are live; push (V, 8) is
+    scratch.
+    """
+    return settle(p, contacts, count, push, clamped)
 
 
 @kernel

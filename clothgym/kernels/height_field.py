@@ -32,7 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
-from clothgym.kernels.integrate import add_grip_forces, finish_substep, xpbd_substep
+from clothgym.kernels.contact import NO_CONTACTS, sweep_all
+from clothgym.kernels.integrate import accelerate, add_grip_forces, finish_substep
 from clothgym.kernels.outline import clearance
 
 _LEAST = 0.1
@@ -322,7 +323,7 @@ def stays(x, share, sheets, tube):
 
 @kernel
 def xpbd_substeps(
-    x, v, p, kept, cloth, radii, motion, ground, grips, multipliers, first, last, base, horizon, sheets, tube
+    x, v, p, kept, cloth, radii, motion, ground, grips, multipliers, first, last, base, horizon, sheets, tube, runs
 ):
     """`integrate.xpbd_substeps` from substep `first` up to `last`, as long as the sheets stay height fields.
 
@@ -333,7 +334,10 @@ def xpbd_substeps(
         for i in range(x.shape[0]):
             for c in range(3):
                 kept[i, c] = v[i, c]
-        xpbd_substep(x, v, p, cloth, radii, motion, ground, grips, multipliers, n)
+        accelerate(x, v, p, cloth, motion)
+        sweep_all(
+            x, p, cloth, NO_CONTACTS, 0, 0.0, radii, motion, ground, grips, multipliers, n, True, runs
+        )
         if not _stays(p, (n + 1 - base) / horizon, sheets, tube):
             for i in range(x.shape[0]):
                 for c in range(3):

@@ -11,10 +11,15 @@ import math
 import numpy as np
 
 from clothgym._jit import device, inlined, kernel
-from clothgym.kernels.primitives import edge_edge_distance, vertex_triangle_distance
+from clothgym.kernels.primitives import (
+    closest_on_edges,
+    closest_on_triangle,
+    edge_edge_distance,
+    vertex_triangle_distance,
+)
 
 
-@device
+@inlined
 def _travel(u, i, j):
     dx = u[i, 0] - u[j, 0]
     dy = u[i, 1] - u[j, 1]
@@ -22,14 +27,15 @@ def _travel(u, i, j):
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@device
-def _emit(quads, kinds, found, a, b, c, d, kind):
+@inlined
+def _emit(quads, kinds, rest, gaps, weights, found, ids, kind, thickness, gap, closest):
     if found < quads.shape[0]:
-        quads[found, 0] = a
-        quads[found, 1] = b
-        quads[found, 2] = c
-        quads[found, 3] = d
+        for k in range(4):
+            quads[found, k] = ids[k]
+            weights[found, k] = closest[k]
         kinds[found] = kind
+        rest[found] = thickness
+        gaps[found] = gap
     return found + 1
 
 
@@ -66,7 +72,7 @@ def _vertex_triangle_apart(x, v, a, b, c, reach):
     return across | ((gap * gap > far * nn) & (nn > 1e-12 * size * size * size * size))
 
 
-@device
+@inlined
 def _edges_apart(x, a0, a1, b0, b1, reach):
     """The same for two edges: across the line of their middles, or by the distance of their lines."""
     ux = x[a1, 0] - x[a0, 0]
@@ -99,8 +105,9 @@ def _edges_apart(x, a0, a1, b0, b1, reach):
 
 
 @inlined
-def _skew_distance(x, a0, a1, b0, b1):
-    """`primitives.edge_edge_distance` to the last bit and without branches; -1 if edges are nearly parallel or points."""
+def _skew_lines(x, a0, a1, b0, b1):
+    """`primitives.closest_on_edges` and their distance to the last bit and without branches; -1 as distance if edges are nearly
+    parallel or points."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -129,21 +136,32 @@ def _skew_distance(x, a0, a1, b0, b1):
     dx = x[a0, 0] + s * ux - x[b0, 0] - t * vx
     dy = x[a0, 1] + s * uy - x[b0, 1] - t * vy
     dz = x[a0, 2] + s * uz - x[b0, 2] - t * vz
-    return math.sqrt(dx * dx + dy * dy + dz * dz) if denominator > 1e-6 * a * e else -1.0
+    return s, t, math.sqrt(dx * dx + dy * dy + dz * dz) if denominator > 1e-6 * a * e else -1.0
+
+
+@inlined
+def _closest_on_edges(x, a0, a1, b0, b1):
+    """Places along two edges, and their distance [m]."""
+    s, t, d = _skew_lines(x, a0, a1, b0, b1)
+    if d < 0.0:
+        s, t = closest_on_edges(x, a0, a1, b0, b1)
+        d = edge_edge_distance(x, a0, a1, b0, b1)
+    return s, t, d
 
 
 @inlined
 def _edge_edge_distance(x, a0, a1, b0, b1):
-    d = _skew_distance(x, a0, a1, b0, b1)
+    d = _skew_lines(x, a0, a1, b0, b1)[2]
     return d if d >= 0.0 else edge_edge_distance(x, a0, a1, b0, b1)
 
 
 @kernel
-def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds):
+def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds, rest, gaps, weights):
     """Pairs of primitives that can come within their thickness while every vertex moves by u, within its slack [m].
 
     x, u (V, 3): positions and expected displacements; thickness, slack (V,); vertex_face (C, 2) and edge_edge (C, 2): pairs of
-    primitives whose swept, inflated boxes overlap. Returns the number found; as many as fit into quads (K, 4) are written.
+    primitives whose swept, inflated boxes overlap. Returns the number found; as many as fit into quads (K, 4) are written, with
+    their kinds, thickness and distance (K,) and the signed weights (K, 4) of their closest points at x.
 
     A pair stays if its distance now is within thickness + relative travel + slack.
     """
@@ -154,12 +172,19 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
         a = faces[face, 0]
         b = faces[face, 1]
         c = faces[face, 2]
-        reach = min(thickness[v], thickness[a], thickness[b], thickness[c]) + slack[v]
+        least = min(thickness[v], thickness[a], thickness[b], thickness[c])
+        reach = least + slack[v]
         reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
         if _vertex_triangle_apart(x, v, a, b, c, reach):
             continue
-        if vertex_triangle_distance(x, v, a, b, c) <= reach:
-            found = _emit(quads, kinds, found, v, a, b, c, 0)
+        wa, wb, wc = closest_on_triangle(x, v, a, b, c)
+        dx = x[v, 0] - wa * x[a, 0] - wb * x[b, 0] - wc * x[c, 0]
+        dy = x[v, 1] - wa * x[a, 1] - wb * x[b, 1] - wc * x[c, 1]
+        dz = x[v, 2] - wa * x[a, 2] - wb * x[b, 2] - wc * x[c, 2]
+        gap = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if gap <= reach:
+            closest = (1.0, -wa, -wb, -wc)
+            found = _emit(quads, kinds, rest, gaps, weights, found, (v, a, b, c), 0, least, gap, closest)
     for n in range(edge_edge.shape[0]):
         e = edge_edge[n, 0]
         f = edge_edge[n, 1]
@@ -167,21 +192,23 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
         a1 = edges[e, 1]
         b0 = edges[f, 0]
         b1 = edges[f, 1]
-        reach = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
-        reach += max(
+        least = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
+        reach = least + max(
             slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
             slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
         )
         if _edges_apart(x, a0, a1, b0, b1, reach):
             continue
-        if _edge_edge_distance(x, a0, a1, b0, b1) <= reach:
-            found = _emit(quads, kinds, found, a0, a1, b0, b1, 1)
+        s, t, gap = _closest_on_edges(x, a0, a1, b0, b1)
+        if gap <= reach:
+            closest = (1.0 - s, s, -(1.0 - t), -t)
+            found = _emit(quads, kinds, rest, gaps, weights, found, (a0, a1, b0, b1), 1, least, gap, closest)
     return found
 
 
-@kernel
-def largest_deviation(x, start, u, share, slack):
-    """By how much [m] some vertex is further than its slack from where it was expected, start + share u; < 0 = none is."""
+@device
+def deviation(x, start, u, share, slack):
+    """See `largest_deviation`."""
     worst = -math.inf
     for i in range(x.shape[0]):
         dx = x[i, 0] - start[i, 0] - share * u[i, 0]
@@ -189,6 +216,12 @@ def largest_deviation(x, start, u, share, slack):
         dz = x[i, 2] - start[i, 2] - share * u[i, 2]
         worst = max(worst, math.sqrt(dx * dx + dy * dy + dz * dz) - slack[i])
     return worst
+
+
+@kernel
+def largest_deviation(x, start, u, share, slack):
+    """By how much [m] some vertex is further than its slack from where it was expected, start + share u; < 0 = none is."""
+    return deviation(x, start, u, share, slack)
 
 
 @kernel

@@ -251,6 +251,22 @@ def _sweep(space, springs, base_x, base_y, base_z, single):
 
 
 @device
+def project_in_runs(p, springs, space, once):
+    """One sweep over all springs for positions p (V, 3) that other constraints change too; `once` if it is the substep's only
+    one, else space.multipliers go on."""
+    slot = springs.slot
+    for i in range(p.shape[0]):
+        s = np.uint64(slot[i])
+        for c in range(3):
+            space.p[c, s] = p[i, c]
+    _sweep(space, springs, None, None, None, once)
+    for i in range(p.shape[0]):
+        s = np.uint64(slot[i])
+        for c in range(3):
+            p[i, c] = space.p[c, s]
+
+
+@device
 def _substep_sweeps(space, springs, base_x, base_y, base_z, radii, motion, ground, grips, substep, relative):
     """All sweeps of a substep."""
     if motion.sweeps > 1:

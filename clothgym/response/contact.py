@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.height_field import HeightFields
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.detection.mezger import MezgerHierarchy
-from clothgym.kernels import contact, proximity
+from clothgym.kernels import contact, near_pairs, proximity
 from clothgym.kernels.contact import Contacts
+from clothgym.kernels.near_pairs import Watched
 from clothgym.model import ClothModel
 
 _ERRATIC = 0.5
@@ -42,13 +44,11 @@ class Candidates:
         self, model: ClothModel, tree: Hierarchy | BruteForce | MezgerHierarchy, flat_check: bool = False
     ) -> None:
         self.model, self.tree = model, tree
-        sheets = HeightFields(model.surface, contact.ACTIVE * model.thickness) if flat_check else None
+        sheets = HeightFields(model.surface, near_pairs.ACTIVE * model.thickness) if flat_check else None
         self.sheets = sheets if sheets is not None and sheets.possible else None
         self.flat = False
         count = len(model.faces)
-        self.quads: IntArray = np.zeros((8 * count, 4), np.int32)
-        self.kinds = np.zeros(8 * count, np.uint8)
-        self.separation: FloatArray = np.zeros((8 * count, 4))
+        self.watched = watched_pairs(8 * count, model.vertex_count)
         self.count = 0
         self.horizon = self.ahead = self.most_ahead = 1
         self.spent = 0
@@ -125,17 +125,28 @@ class Candidates:
                 self.slack,
                 tree.vertex_face[: tree.counts[0]],
                 tree.edge_edge[: tree.counts[1]],
-                self.quads,
-                self.kinds,
+                self.watched.quads,
+                self.watched.kinds,
+                self.watched.rest,
+                self.watched.gaps,
+                self.watched.weights,
             )
-            if found <= len(self.quads):
+            if found <= len(self.watched.quads):
                 break
-            capacity = int(1.3 * found)
-            self.quads = np.zeros((capacity, 4), np.int32)
-            self.kinds = np.zeros(capacity, np.uint8)
-            self.separation = np.zeros((capacity, 4))
+            self.watched = watched_pairs(int(1.3 * found), len(self.start))
         self.count = found
+        near_pairs.begin(self.start, self.watched, found)
         self.gathered += found
+
+    @property
+    def quads(self) -> IntArray:
+        """(K, 4) vertex ids of the pairs, of which the first `count` are valid."""
+        return self.watched.quads
+
+    @property
+    def kinds(self) -> NDArray[np.uint8]:
+        """(K,) 0 = vertex and triangle, 1 = two edges."""
+        return self.watched.kinds
 
     def outdated(self, x: FloatArray, share: float) -> bool:
         """Whether a vertex is further than its slack from start + share travel, so that pairs may be missing."""
@@ -144,45 +155,76 @@ class Candidates:
         return proximity.largest_deviation(x, self.start, self.travel, share, self.slack) > 0.0
 
 
+def watched_pairs(capacity: int, vertex_count: int) -> Watched:
+    """Room for so many pairs of primitives."""
+    return Watched(
+        np.zeros((capacity, 4), np.int32),
+        np.zeros(capacity, np.uint8),
+        *(np.zeros(capacity) for _ in range(4)),
+        np.zeros(capacity, np.uint8),
+        np.zeros((capacity, 4)),
+        np.zeros((capacity, 4)),
+        np.zeros((vertex_count, 3)),
+        np.zeros(capacity, np.int64),
+        np.zeros(vertex_count, np.int64),
+        np.zeros((vertex_count, 6)),
+        np.zeros(vertex_count),
+        np.zeros(4),
+    )
+
+
 class ContactBuffers:
-    """Active contacts; capacity grows by counting."""
+    """Contacts of near pairs; capacity grows by counting.
+
+    Attributes:
+        known: how many are collected; negative = not since pairs were found or measured last.
+        active: how many of them are live within the substep.
+    """
 
     def __init__(self, capacity: int) -> None:
-        self.active = 0
+        self.known, self.active = -1, 0
         self.arrays = self._make(capacity)
 
     @staticmethod
     def _make(capacity: int) -> Contacts:
         return Contacts(
             np.zeros((capacity, 4), np.int32),
+            np.zeros(capacity, np.int64),
             np.zeros((capacity, 4)),
             np.zeros((capacity, 3)),
-            np.zeros(capacity),
-            np.zeros(capacity),
-            np.zeros(capacity),
-            np.zeros(capacity),
+            *(np.zeros(capacity) for _ in range(6)),
             np.zeros((capacity, 3)),
+            np.zeros(capacity, np.int64),
         )
+
+    def forget(self) -> None:
+        """Collects contacts again at the next look: pairs were found anew."""
+        self.known = -1
+
+    def grow(self, wanted: int) -> None:
+        """Room for more contacts, which have to be collected again."""
+        self.arrays, self.known = self._make(int(1.3 * wanted)), -1
 
     def narrow(
         self, x: FloatArray, p: FloatArray, candidates: Candidates, apart: BoolArray, both: bool, yield_force: float
-    ) -> None:
-        """Closest points of all candidates at x, and which of them are active on the way to p."""
+    ) -> int:
+        """Contacts on the way from x to p (V, 3); returns how many pairs were measured for them."""
+        measured = 0
         while True:
-            active = contact.narrow(
+            known, self.active, new = contact.narrow(
                 x,
                 p,
-                candidates.quads,
-                candidates.kinds,
+                candidates.watched,
                 candidates.count,
-                candidates.model.thickness,
+                candidates.model.inverse_masses,
                 apart,
                 both,
                 yield_force,
-                candidates.separation,
+                self.known,
                 self.arrays,
             )
-            if active <= len(self.arrays.rest):
-                self.active = active
-                return
-            self.arrays = self._make(int(1.3 * active))
+            measured += int(new)
+            if known <= len(self.arrays.rest):
+                self.known = int(known)
+                return measured
+            self.grow(known)

@@ -9,14 +9,13 @@ import numpy as np
 
 from clothgym.arrays import FloatArray
 from clothgym.fidelity import Fidelity
-from clothgym.kernels import clamped
 from clothgym.kernels.integrate import Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
 from clothgym.stages.integrate import Step
 
-_SHARINGS = 4
-"""Rounds in which clamped layers share their room: as many layers between two walls take part."""
+_WORK = ("contacts", "measured", "repaired", "zoned", "unproved")
+"""What `kernels.contact_substeps` counts, in its order."""
 
 
 _AHEAD = 8
@@ -28,19 +27,19 @@ class ContactSubsteps:
 
     reads: tuple[str, ...] = ("positions", "velocities", "quads", "apart")
     writes: tuple[str, ...] = ("positions", "velocities")
-    parts = ("flat", "predict", "find again", "closest points", "solve", "certify", "advance")
+    parts = ("flat", "together", "predict", "find again", "closest points", "solve", "certify", "advance")
+    in_one_kernel = True
     _ATTEMPTS = 4
 
     def __init__(
         self, step: Step, candidates: Any, model: ClothModel, fidelity: Fidelity, apart: Any, windy: bool
     ) -> None:
-        from clothgym.kernels import certificate, contact, height_field
+        from clothgym.kernels import certificate, clamped, contact, contact_substeps, height_field
         from clothgym.response.contact import ContactBuffers
 
         self.step, self.candidates, self.apart = step, candidates, apart
-        self.kernels, self.certify = contact, certificate.certify
+        self.kernels, self.prove, self.settle_clamped = contact, certificate.prove, clamped.settle_clamped
         self.contacts = ContactBuffers(max(1024, len(model.faces)))
-        self.spare = ContactBuffers(1024)  # looking again must not forget what pressed
         self.near = (
             fidelity.contacts_near_hits == "off_both",
             fidelity.yield_force if fidelity.contacts_near_hits == "yield" else 0.0,
@@ -48,8 +47,10 @@ class ContactSubsteps:
         self.rounds = fidelity.repair_rounds
         in_sweeps = step.integrator.in_sweeps
         self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
+        self.together = contact_substeps if self.in_one_kernel and in_sweeps and not fidelity.continuous else None
         candidates.ahead = candidates.most_ahead = _AHEAD if self.flat_substeps else 1
-        self.kept = np.zeros((model.vertex_count if self.flat_substeps else 0, 3))
+        self.kept = np.zeros((model.vertex_count if in_sweeps else 0, 3))
+        self.work = np.zeros(len(_WORK), np.int64)
         self.name = f"contact substeps [{step.label}]"
         if fidelity.untangling == "none" and fidelity.contacts_near_hits == "keep":
             self.reads = ("positions", "velocities", "quads")  # no stage looks for intersections
@@ -66,7 +67,7 @@ class ContactSubsteps:
         self.kernels.solve(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
             model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),
-            s.integrator.multipliers, substep, s.integrator.in_sweeps,
+            s.integrator.multipliers, substep, s.integrator.in_sweeps, s.integrator.spring_runs,
         )  # fmt: skip
 
     def _answer(self, frame: Frame) -> None:
@@ -87,7 +88,7 @@ class ContactSubsteps:
             done = self.flat_substeps(
                 state.positions, state.velocities, frame.predicted, self.kept, frame.model.arrays, s.radii, motion, s.ground,
                 frame.grips, s.integrator.multipliers, done, min(base + horizon, s.substeps), base, horizon,
-                found.sheets.sheets, found.sheets.tube,
+                found.sheets.sheets, found.sheets.tube, s.integrator.spring_runs,
             )  # fmt: skip
             if done == s.substeps:
                 found.spent = done - base
@@ -103,70 +104,105 @@ class ContactSubsteps:
             frame.count("rebuilds", 1)
 
     def run(self, frame: Frame) -> None:
+        motion = self.step.motion(frame)
+        frame.clamped = 0
+        self.contacts.forget()
+        self.base = 0  # candidates hold for the substeps base .. base + horizon - 1
+        now = time.perf_counter()
+        n = self.base = self._flat(frame, motion)
+        self.horizon = self.candidates.horizon
+        frame.clock(f"{self.name}: flat", now)
+        while n < self.step.substeps:
+            if self.together is not None and not self.candidates.flat:
+                n = self._together(frame, motion, n)
+            if n < self.step.substeps:
+                self._one(frame, motion, n)
+                n += 1
+        frame.clamped += self._between_bodies()
+        self.candidates.book(frame.count)
+
+    def _together(self, frame: Frame, motion: Motion, first: int) -> int:
+        """Substeps in one kernel as long as the candidates are complete; returns the one that is left to do."""
+        now = time.perf_counter()
+        s, state, model, found, kernels = self.step, frame.state, frame.model, self.candidates, self.together
+        last = min(s.substeps, self.base + self.horizon)
+        self.work[:] = 0
+        done, self.contacts.known, tight = kernels.xpbd_substeps_in_contact(
+            state.positions, state.velocities, frame.predicted, self.kept, model.arrays, s.radii, motion, s.ground,
+            s.integrator.loose_grips(frame), s.integrator.multipliers, first, last,
+            kernels.Expected(found.start, found.travel, found.slack, self.base, self.horizon),
+            found.watched, found.count, self.contacts.known, self.contacts.arrays,
+            kernels.Rules(model.friction, *self.near, self.rounds, model.thickness, self.apart),
+            self.pushes, self.clamped, self.work, s.integrator.spring_runs,
+        )  # fmt: skip
+        if done > first:
+            frame.clamped = int(tight)
+            for name, amount in zip(_WORK, self.work.tolist()):
+                if amount or name != "unproved":
+                    frame.count(name, amount)
+        frame.clock(f"{self.name}: together", now)
+        return int(done)
+
+    def _find(self, frame: Frame, travel: FloatArray, substep: int, horizon: int) -> None:
+        """Candidates anew for vertices that go along `travel` (V, 3) [m] in `horizon` substeps from `substep` on."""
+        self.base, self.horizon = substep, horizon
+        self.candidates.expect(frame.state.positions, travel)
+        self.candidates.gather()
+        self.contacts.forget()
+        frame.count("rebuilds", 1)
+
+    def _one(self, frame: Frame, motion: Motion, n: int) -> None:
+        """Substep n, with candidates found anew as often as it takes."""
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
         x, p = state.positions, frame.predicted
-        motion = s.motion(frame)
-        frame.clamped = 0
         now = time.perf_counter()
-        # candidates hold for the substeps base .. base + horizon - 1
-        base, horizon = self._flat(frame, motion), found.horizon
-        frame.clock(f"{self.name}: flat", now)
-        for n in range(base, s.substeps):
-            now = time.perf_counter()
-            frame.substep = n
-            s.integrator.predict(frame, motion)
-            now = frame.clock(f"{self.name}: predict", now)
-            done = n - base
-            late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))
-            if late or done >= horizon:
-                # what changes its mind is looked at again soon, what kept its course for twice as long
-                base, horizon = n, 1 if late else min(max(1, 2 * horizon), s.substeps - n)
-                found.expect(x, horizon * (p - x))
-                found.gather()
-                frame.count("rebuilds", 1)
+        frame.substep = n
+        s.integrator.predict(frame, motion)
+        now = frame.clock(f"{self.name}: predict", now)
+        done, horizon = n - self.base, self.horizon
+        late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))
+        if late or done >= horizon:
+            # what changes its mind is looked at again soon, what kept its course for twice as long
+            horizon = 1 if late else min(max(1, 2 * horizon), s.substeps - n)
+            self._find(frame, horizon * (p - x), n, horizon)
+            now = frame.clock(f"{self.name}: find again", now)
+        measured = self.contacts.narrow(x, p, found, self.apart, *self.near)
+        frame.count("contacts", self.contacts.active)
+        now = frame.clock(f"{self.name}: closest points", now)
+        self._solve(frame, motion, n)
+        frame.clamped = int(
+            self.settle_clamped(p, self.contacts.arrays, self.contacts.active, self.pushes, self.clamped)
+        )
+        now = frame.clock(f"{self.name}: solve", now)
+        for _ in range(self._ATTEMPTS):
+            share = (n + 1 - self.base) / self.horizon
+            if found.outdated(p, share):
+                # something moved further than expected: look again around where everything really goes
+                self._find(frame, p - x, n, 1)
+                share = 1.0
                 now = frame.clock(f"{self.name}: find again", now)
-            self.contacts.narrow(x, p, found, self.apart, *self.near)
-            frame.count("contacts", self.contacts.active)
-            now = frame.clock(f"{self.name}: closest points", now)
-            self._solve(frame, motion, n)
-            frame.clamped = self._share_room(p)
-            now = frame.clock(f"{self.name}: solve", now)
-            share = (n + 1 - base) / horizon
-            for _ in range(self._ATTEMPTS):
-                if found.outdated(p, share):
-                    # something moved further than expected: look again around where everything really goes
-                    found.expect(x, p - x)
-                    found.gather()
-                    self.spare.narrow(x, p, found, self.apart, *self.near)
-                    base, horizon, share = n, 1, 1.0
-                    frame.count("rebuilds", 1)
-                    now = frame.clock(f"{self.name}: find again", now)
-                repaired, zoned = self.certify(
-                    x, p, model.inverse_masses, model.thickness, found.quads, found.kinds, found.count,
-                    found.separation, self.rounds,
-                )  # fmt: skip
-                frame.count("repaired", repaired)
-                frame.count("zoned", zoned)
-                now = frame.clock(f"{self.name}: certify", now)
-                if not found.outdated(p, share):
-                    break
-            else:
-                frame.count("unproved", 1)
-            if self.watch:
-                frame.count("tunnel_events", self.watch.events(x, p, all_pairs=found.outdated(p, share)))
-            s.integrator.finish(frame, s.dt)
-            self._answer(frame)
-            frame.clock(f"{self.name}: advance", now)
-        frame.clamped += self._between_bodies()
-        found.book(frame.count)
-
-    def _share_room(self, p: FloatArray) -> int:
-        """Lets clamped vertices keep away from both sides alike; returns how many there are."""
-        contacts, active = self.contacts.arrays, self.contacts.active
-        found = clamped.between_layers(p, contacts, active, self.pushes, self.clamped)
-        for _ in range(_SHARINGS if found else 0):
-            clamped.share_room(p, contacts, active, self.clamped, self.pushes)
-        return int(found)
+            new, repaired, zoned, unproved = self.prove(
+                x, p, model.inverse_masses, model.thickness, found.watched, found.count, self.apart, self.near[0],
+                self.near[1] == 0.0, self.rounds,
+            )  # fmt: skip
+            measured += int(new)
+            if new:
+                self.contacts.forget()
+            frame.count("repaired", repaired)
+            frame.count("zoned", zoned)
+            now = frame.clock(f"{self.name}: certify", now)
+            if not found.outdated(p, share):
+                break
+        else:
+            unproved = 1
+        frame.count("measured", measured)
+        if unproved:
+            frame.count("unproved", 1)
+        if self.watch:
+            frame.count("tunnel_events", self.watch.events(x, p, all_pairs=found.outdated(p, share)))
+        s.integrator.finish(frame, s.dt)
+        self._answer(frame)
+        frame.clock(f"{self.name}: advance", now)
 
     def _between_bodies(self) -> int:
         """Vertices that bodies clamp, beyond those that layers do."""
@@ -185,7 +221,7 @@ class Watch:
     def events(self, x: FloatArray, p: FloatArray, all_pairs: bool) -> int:
         """How many pairs that were apart at x pass each other on the straight way to p."""
         found = self.candidates
-        chosen = slice(None) if all_pairs else found.separation[: found.count, 3] <= 0.0
+        chosen = slice(None) if all_pairs else found.watched.separation[: found.count, 3] <= 0.0
         quads, kinds = found.quads[: found.count][chosen], found.kinds[: found.count][chosen]
         if len(self.times) < len(quads):
             self.times = np.zeros(int(1.3 * len(quads)))
@@ -204,7 +240,8 @@ class ContactSubstepsOnBody(ContactSubsteps):
         from clothgym.kernels import body_contact
 
         self.body_kernels, self.body = body_contact, body
-        self.flat_substeps, candidates.ahead, candidates.most_ahead = None, 1, 1
+        self.flat_substeps = self.together = None
+        candidates.ahead = candidates.most_ahead = 1
         self.name = f"{self.name[:-1]}, {body.label}]"
 
     def run(self, frame: Frame) -> None:

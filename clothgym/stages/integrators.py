@@ -6,7 +6,7 @@ An integrator predicts p; grips, contact, ground and body then act on p, and the
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,9 +40,11 @@ class Integrator(ABC):
         remark: for what the numbers were chosen, if they were.
         in_sweeps: whether the cloth's own forces are constraints, projected in every sweep of contact, and not in p yet.
         multipliers: (C,) of those constraints [N s^2]; (0,) without.
+        spring_runs: springs in runs and the space to work on them, if that is all there is in the sweeps; else None.
     """
 
     in_sweeps = False
+    spring_runs: Any = None
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         self.sweeps, self.remark = fidelity.sweeps, ""

@@ -31,10 +31,13 @@ class Xpbd(Integrator):
         scene = model.scene
         self.runs: Runs | None = None
         alone = model.constraint_count == len(model.spring_rest)
-        if alone and not (scene.self_collision or scene.bodies):
+        if alone and not scene.bodies:
             layout = spring_layout(model)
             if len(layout.runs) > 0:
-                self.runs = Runs(model, layout, scene.step / self.substeps, np.dtype(fidelity.precision))
+                touches = scene.self_collision
+                dtype = np.dtype(np.float64 if touches else fidelity.precision)
+                self.runs = Runs(model, layout, scene.step / self.substeps, dtype)
+                self.spring_runs = (self.runs.arrays, self.runs.space) if touches else None
                 return
         self.multipliers = np.zeros(model.constraint_count)
 

@@ -68,6 +68,7 @@ def _geometry() -> None:
     import clothgym as cg
     from clothgym.detection.hierarchy import Hierarchy
     from clothgym.detection.intersections import Intersections
+    from clothgym.response import untangling
 
     vertices, faces = _crossing_sheets()
     hits = cg.intersections(vertices, faces)
@@ -78,7 +79,7 @@ def _geometry() -> None:
     tree = Hierarchy(surface, vertices)
     tree.refit(vertices, vertices, 0.0)
     Intersections(vertices, surface, tree.edges_against_faces())
-    for strategy in ("local", "global", "hybrid"):
+    for strategy in untangling.STRATEGIES:
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
 
 

@@ -26,7 +26,9 @@ the file as written. IN may be OUT: the old file stays until the new one is whol
 Exit code: 0 no intersection is left, 1 some are left (OUT is written all the same), 2 bad input.
 """
 
-_STRATEGIES = "none, local, global, exact, area, gia, hybrid, coherence, stall, annealed, flatten, or package.module:Name of your own."
+_STRATEGIES = (
+    "none, local, global, exact, area, gia, hybrid, coherence, stall, annealed, flatten, or package.module:Name."
+)
 
 
 def register(app: typer.Typer) -> None:

@@ -81,6 +81,9 @@ def _geometry() -> None:
     Intersections(vertices, surface, tree.edges_against_faces())
     for strategy in untangling.STRATEGIES:
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
+    poked = vertices[:25] + np.array([0.013, 0.01, 0.007])
+    poked[12, 1] -= 0.03  # through the other sheet, so that the contour cuts off a region
+    cg.untangle(np.concatenate([vertices[:25], poked]), faces, strategy="gia", passes=2)
 
 
 def _crossing_sheets() -> tuple[np.ndarray, np.ndarray]:

@@ -97,7 +97,7 @@ def _closed(depth: float, resolution: int, edge: float, rng: np.random.Generator
 def _bbii(depth: float, resolution: int, edge: float, rng: np.random.Generator) -> Placed:
     """A sheet, and a ribbon of four cells across whose end goes through it."""
     sheet = _waved(grid(SIDE, SIDE, resolution, resolution), 0.1 * edge, rng)
-    length = max(8, math.ceil(depth) + 5)
+    length = max(8, math.ceil(2.5 * depth) + 3)  # what is through is the smaller part
     ribbon = _upright(grid(4 * edge, length * edge, 4, length), -depth * edge)
     turn = _about((0.0, 1.0, 0.0), rng.uniform(0.0, math.pi)) @ _about((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))
     place = np.array([*rng.uniform(-0.15, 0.15, 2), 0.0])[[0, 2, 1]] * SIDE
@@ -122,17 +122,18 @@ def _bibi(depth: float, resolution: int, edge: float, rng: np.random.Generator) 
 def _cross(depth: float, resolution: int, edge: float, rng: np.random.Generator) -> Placed:
     """A level sheet, and two upright strips whose lower ends go through it and which cross each other beside a border."""
     level = _waved(grid(SIDE, SIDE, resolution, resolution), 0.1 * edge, rng)
-    width, height = max(6, resolution // 2), max(6, math.ceil(depth) + 4)
+    width = min(max(6, math.ceil(2.2 * depth) + 2), resolution - 2)
+    height = max(6, math.ceil(1.5 * depth) + 4)
     # the second is longer at both ends, so that the contour between them begins and ends at borders of the first
-    low, high = 0.8 * depth, height + 2.37
+    low, high = 0.6 * depth, height + 2.37
     first = _upright(grid(width * edge, (height + low) * edge, width, round(height + low)), -low * edge)
     second = _upright(grid(width * edge, (high + depth) * edge, width, round(high + depth)), -depth * edge)
     corner = np.array([*rng.uniform(-0.1, 0.1, 2), 0.0])[[0, 2, 1]] * SIDE
-    tilt = [_about(rng.normal(size=3), rng.uniform(0.0, 0.06)) for _ in range(2)]
+    tilt = [_about(rng.normal(size=3), rng.uniform(0.0, 0.02)) for _ in range(2)]
     quarter = _about((0.0, 1.0, 0.0), 0.5 * math.pi)
     first = first.transformed(tilt[0], corner + np.array([(depth - 0.5 * width) * edge, 0.0, 0.0]))
     second = second.transformed(tilt[1] @ quarter, corner + np.array([0.0, 0.0, rng.uniform(-0.1, 0.1) * width * edge]))
-    lean = 0.06 * (high + width) * edge  # what tilts may bring nearer
+    lean = 0.02 * (high + width) * edge  # what tilts may bring nearer
     free_first = first.vertices + np.array([-(depth + _ROOM) * edge - lean, (low + _ROOM) * edge + lean, 0.0])
     free_second = second.vertices + np.array([0.0, (depth + _ROOM) * edge + lean, 0.0])
     counts = np.cumsum([0, len(level.vertices), len(first.vertices), len(second.vertices)])

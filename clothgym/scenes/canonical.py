@@ -14,6 +14,7 @@ import numpy as np
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
+from clothgym.motion import rotation
 from clothgym.scene import Cloth, Scene
 from clothgym.scenes.crossing import random_rotation
 from clothgym.scenes.tangle import Tangle, shifted, tangle
@@ -51,7 +52,7 @@ def draw(kind: str, depth: float, resolution: int, seed: int, uneven: bool = Tru
     rng = np.random.default_rng([seed, list(KINDS).index(kind)])
     edge = SIDE / resolution
     placed, beside = KINDS[kind](depth, resolution, edge, rng)
-    rotation = random_rotation(rng)
+    turn = random_rotation(rng)
     height = edge * (_UNEVEN_FOLD if kind in _FOLDS else _UNEVEN) * (1.0 if uneven else 0.0)
     material = Material(
         density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge
@@ -59,9 +60,9 @@ def draw(kind: str, depth: float, resolution: int, seed: int, uneven: bool = Tru
     cloths, clean = [], []
     for number, (mesh, free) in enumerate(placed):
         noise = height * rng.uniform(-1.0, 1.0, mesh.vertices.shape)
-        start = Mesh((mesh.vertices + noise) @ rotation.T, mesh.faces, mesh.quads)
+        start = Mesh((mesh.vertices + noise) @ turn.T, mesh.faces, mesh.quads)
         cloths.append(Cloth(start, material, (), start.vertices, f"cloth {number}"))
-        clean.append((free + noise) @ rotation.T)
+        clean.append((free + noise) @ turn.T)
     return tangle(cloths, np.concatenate(clean), edge, beside, "canonical")
 
 
@@ -87,7 +88,7 @@ def _closed(depth: float, resolution: int, edge: float, rng: np.random.Generator
     dent = np.where(way < 1.0, (1.0 - way**2) ** 2, 0.0)
     x[:, 1] += _ROOM * edge - (depth + _ROOM) * edge * dent
     angle = rng.uniform(-0.25, 0.25)
-    turn = _about((0.0, 1.0, 0.0), angle)
+    turn = rotation((0.0, 1.0, 0.0), angle)
     shift = np.array([*rng.uniform(-1.5, 1.5, 2), 0.0])[[0, 2, 1]] * edge
     upper = upper.transformed(turn, shift)
     free = upper.vertices + np.array([0.0, (depth + _ROOM) * edge, 0.0])
@@ -99,7 +100,7 @@ def _bbii(depth: float, resolution: int, edge: float, rng: np.random.Generator) 
     sheet = _waved(grid(SIDE, SIDE, resolution, resolution), 0.1 * edge, rng)
     length = max(8, math.ceil(2.5 * depth) + 3)  # what is through is the smaller part
     ribbon = _upright(grid(4 * edge, length * edge, 4, length), -depth * edge)
-    turn = _about((0.0, 1.0, 0.0), rng.uniform(0.0, math.pi)) @ _about((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))
+    turn = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, math.pi)) @ rotation((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))
     place = np.array([*rng.uniform(-0.15, 0.15, 2), 0.0])[[0, 2, 1]] * SIDE
     ribbon = ribbon.transformed(turn, place)
     free = ribbon.vertices + (depth + 2 * _ROOM) * edge * turn[:, 1]
@@ -110,7 +111,7 @@ def _bibi(depth: float, resolution: int, edge: float, rng: np.random.Generator) 
     """Two sheets across each other, whose contour begins at the border of one and ends at that of the other."""
     level = grid(SIDE, SIDE, resolution, resolution)
     upright = _upright(grid(SIDE, SIDE, resolution, resolution), -0.5 * SIDE)
-    turn = _about((0.0, 1.0, 0.0), rng.uniform(-0.15, 0.15)) @ _about((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))
+    turn = rotation((0.0, 1.0, 0.0), rng.uniform(-0.15, 0.15)) @ rotation((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))
     # turned about the end of the contour, so that its length stays
     end = np.array([0.5 * SIDE, *rng.uniform(-0.1, 0.1, 2) * SIDE])
     corner = np.array([-0.5 * SIDE, 0.0, 0.0])
@@ -129,8 +130,8 @@ def _cross(depth: float, resolution: int, edge: float, rng: np.random.Generator)
     first = _upright(grid(width * edge, (height + low) * edge, width, round(height + low)), -low * edge)
     second = _upright(grid(width * edge, (high + depth) * edge, width, round(high + depth)), -depth * edge)
     corner = np.array([*rng.uniform(-0.1, 0.1, 2), 0.0])[[0, 2, 1]] * SIDE
-    tilt = [_about(rng.normal(size=3), rng.uniform(0.0, 0.02)) for _ in range(2)]
-    quarter = _about((0.0, 1.0, 0.0), 0.5 * math.pi)
+    tilt = [rotation(rng.normal(size=3), rng.uniform(0.0, 0.02)) for _ in range(2)]
+    quarter = rotation((0.0, 1.0, 0.0), 0.5 * math.pi)
     first = first.transformed(tilt[0], corner + np.array([(depth - 0.5 * width) * edge, 0.0, 0.0]))
     second = second.transformed(tilt[1] @ quarter, corner + np.array([0.0, 0.0, rng.uniform(-0.1, 0.1) * width * edge]))
     lean = 0.02 * (high + width) * edge  # what tilts may bring nearer
@@ -243,13 +244,6 @@ def _upright(flat: Mesh, bottom: float) -> Mesh:
     x = flat.vertices
     vertices = np.stack([x[:, 0], x[:, 2] - x[:, 2].min() + bottom, np.zeros(len(x))], axis=1)
     return Mesh(vertices, flat.faces, flat.quads)
-
-
-def _about(axis: FloatArray | tuple[float, float, float], angle: float) -> FloatArray:
-    """(3, 3) rotation about an axis [Rodrigues]."""
-    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
 
 
 KINDS: dict[str, Callable[[float, int, float, np.random.Generator], Placed]] = {

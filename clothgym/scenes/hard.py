@@ -78,7 +78,7 @@ def waist(resolution: int = 16, seed: int = 0) -> Scene:
     return draw_waist(resolution, seed).scene
 
 
-def draw_crumple(resolution: int = 16, amount: float = 2.0, seed: int = 0) -> Tangle:
+def draw_crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Tangle:
     """See `crumple`."""
     rng = np.random.default_rng([seed, 13])
     edge = SIDE / resolution
@@ -98,7 +98,7 @@ def draw_crumple(resolution: int = 16, amount: float = 2.0, seed: int = 0) -> Ta
     )
 
 
-def crumple(resolution: int = 16, amount: float = 2.0, seed: int = 0) -> Scene:
+def crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Scene:
     """A sheet crumpled into itself, with contours that end in creases ("dead ends", [Volino 2006, 3.2]); flat without
     strain."""
     return draw_crumple(resolution, amount, seed).scene

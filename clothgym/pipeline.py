@@ -78,10 +78,18 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         return Pipeline(tuple(stages), step.substeps, step.dt)
     from clothgym.response.contact import Candidates
     from clothgym.stages.contact import ContactSubsteps, ContactSubstepsOnBody
-    from clothgym.stages.pairs import FacePairs, PrimitivePairs, Rebuild
+    from clothgym.stages.pairs import FacePairs, Ignore, PrimitivePairs, Rebuild
 
     tree = _detector(model, fidelity)
     candidates = Candidates(model, tree, fidelity.flat_check and fidelity.detection == "hierarchy")
+    drive: Any = None
+    if any(cloth.motion for cloth in scene.cloths):
+        from clothgym.stages.drive import Drive
+
+        drive = Drive(model)
+        stages.append(drive)
+    if scene.ignored > 0.0:
+        stages.append(Ignore(candidates, scene.ignored))
     if fidelity.rebuild_growth > 0.0:
         stages.append(Rebuild(candidates, fidelity.rebuild_growth))
     apart = np.zeros(model.vertex_count, np.bool_)
@@ -96,6 +104,8 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         stages.append(ContactSubstepsOnBody(step, body, candidates, model, fidelity, apart, windy))
     else:
         stages.append(ContactSubsteps(step, candidates, model, fidelity, apart, windy))
+    if drive:
+        stages[-1].follow(drive)  # type: ignore[attr-defined]
     return Pipeline(tuple(stages), step.substeps, step.dt, tree)
 
 

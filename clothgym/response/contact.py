@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from clothgym.detection.mezger import MezgerHierarchy
 from clothgym.kernels import contact, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.model import ClothModel
+
+if TYPE_CHECKING:
+    from clothgym.detection.faults import Faults
 
 _ERRATIC = 0.5
 """Slack of a vertex as a share of its expected travel: fast vertices are the ones that change their mind."""
@@ -55,6 +59,7 @@ class Candidates:
         self._thickness = float(model.thickness.max())
         self.gathered = 0
         self._booked: dict[str, int] = {}
+        self.faults: Faults | None = None
 
     @property
     def box_pairs(self) -> int:
@@ -118,6 +123,10 @@ class Candidates:
             self.quads = np.zeros((capacity, 4), np.int32)
             self.kinds = np.zeros(capacity, np.uint8)
             self.separation = np.zeros((capacity, 4))
+        if self.faults is not None:
+            seen = np.flatnonzero(self.faults.seen(self.quads[:found]))
+            found = len(seen)
+            self.quads[:found], self.kinds[:found] = self.quads[seen], self.kinds[seen]
         self.count = found
         self.gathered += found
 

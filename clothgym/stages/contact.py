@@ -54,8 +54,15 @@ class ContactSubsteps:
         self.watch = Watch(candidates) if fidelity.continuous else None
         if self.watch:
             self.name = f"{self.name[:-1]}, continuous tests]"
+        self.drive: Any = None
         self.pushes = np.zeros((model.vertex_count, 8))
         self.clamped = np.zeros(model.vertex_count, np.bool_)
+
+    def follow(self, drive: Any) -> None:
+        """Pinned vertices move as a `stages.drive.Drive` wants."""
+        self.drive = drive
+        self.flat_substeps = None
+        self.reads = (*self.reads, "driven")
 
     def _solve(self, frame: Frame, motion: Motion, substep: int) -> None:
         s, model = self.step, frame.model
@@ -110,6 +117,8 @@ class ContactSubsteps:
             now = time.perf_counter()
             frame.substep = n
             s.integrator.predict(frame, motion)
+            if self.drive:
+                self.drive.predict(frame, s.dt)
             now = frame.clock(f"{self.name}: predict", now)
             done = n - base
             late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from clothgym.arrays import FloatArray
+from clothgym.arrays import FloatArray, IntArray
 from clothgym.fidelity import Fidelity
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
@@ -38,6 +38,7 @@ class Untangle:
         self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
         self.find, self.mark_ring = Intersections, mark_ring
         self.context = untangling.Context
+        self.surface = model.surface
         self.h0 = fidelity.h0 * model.mean_edge
         self.stack = np.zeros(model.vertex_count, np.int64)
 
@@ -52,7 +53,7 @@ class Untangle:
         for _ in range(max(1, self.passes)):
             # boxes of the positions alone: those of the whole step hold many times as much
             tree.refit(state.positions, state.positions, 0.0)
-            hits = self.find(state.positions.copy(), model.surface, edge_face=tree.edges_against_faces())
+            hits = self.find(state.positions.copy(), model.surface, edge_face=self._seen(tree.edges_against_faces()))
             frame.count("edge_triangle_tests", hits.edge_triangle_tests)
             frame.count("hits", hits.hit_count)
             self.apart[:] = False
@@ -70,6 +71,14 @@ class Untangle:
         if moved:
             # what is tangled soon goes elsewhere than expected
             self.pairs.look(frame, 1)
+
+    def _seen(self, edge_face: IntArray) -> IntArray:
+        """(C, 2) what faulty detection does not ignore of the pairs that may intersect."""
+        faults, surface = self.candidates.faults, self.surface
+        if faults is None:
+            return edge_face
+        vertices = np.concatenate([surface.edges[edge_face[:, 0]], surface.faces[edge_face[:, 1]]], axis=1)
+        return np.ascontiguousarray(edge_face[faults.seen(vertices)])
 
     def _mark(self, model: ClothModel, hits: Any, inside: Any) -> None:
         """Vertices around the hits, and inside enclosed regions: contact there would lock the wrong side."""

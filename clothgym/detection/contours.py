@@ -114,7 +114,7 @@ class Enclosed:
     Attributes:
         inside_end: (H,) which end of a hit's edge lies in the region, 0 or 1; -1 = none.
         region: (H,) that region, -1 = none.
-        contour, side, area, share: (R,) as in `Region`.
+        contour, side, area, share: (R,) as in `Region`; start: (R + 1,) where the vertices of each begin and end in `inside`.
     """
 
     def __init__(self, hits: Intersections, areas: FloatArray) -> None:
@@ -161,18 +161,18 @@ class Enclosed:
         self.inside_end, self.region = found.inside_end, found.region
         self.contour, self.side = found.contour[:regions], found.side[:regions]
         self.area, self.share = found.area[:regions], found.share[:regions]
-        self._start, self._members = found.start, members[:used]
+        self.start, self._members = found.start[: regions + 1], members[:used]
 
     def __len__(self) -> int:
         return len(self.contour)
 
     def vertices(self, region: int) -> IntArray:
         """Ids of a region's vertices."""
-        return self._members[self._start[region] : self._start[region + 1]]
+        return self._members[self.start[region] : self.start[region + 1]]
 
     @property
     def inside(self) -> IntArray:
-        """Vertices of all regions; those in several stand there as often."""
+        """Vertices of all regions, one after the other; those in several stand there as often."""
         return self._members
 
     @cached_property

@@ -56,10 +56,10 @@ def area_gradients(found: Enclosed) -> tuple[FloatArray, BoolArray]:
     a = hits.hit_face[h]
     b = hits.pair_faces.sum(axis=1) - a
     normals = _normals(hits, a), _normals(hits, b)
-    across: FloatArray = np.asarray(np.linalg.norm(np.cross(*normals), axis=1), np.float64)
-    weight: FloatArray = hits.segment_lengths / np.maximum(across, _FLATTEST)
+    across = np.cross(*normals)
+    weight = hits.segment_lengths / np.maximum(np.sqrt(np.einsum("ij,ij->i", across, across)), _FLATTEST)
     contour = hits.contour
-    side: FloatArray = hits.hit_side[h]
+    side = hits.hit_side[h]
     slopes = np.zeros((hits.contour_count, 3))
     for face, other, own in ((b, normals[0], side), (a, normals[1], -side)):
         way = np.einsum("ij,ij->i", other, _outward(found, face, contour, own))
@@ -69,7 +69,7 @@ def area_gradients(found: Enclosed) -> tuple[FloatArray, BoolArray]:
     return slopes, marked(hits.contour_count, found.contour)
 
 
-def _outward(found: Enclosed, faces: NDArray[Any], contour: NDArray[np.int64], side: FloatArray) -> FloatArray:
+def _outward(found: Enclosed, faces: NDArray[Any], contour: NDArray[np.int64], side: NDArray[Any]) -> FloatArray:
     """(S, 3) from the corners of faces (S,) that lie in a region of that side of a contour to those that do not; 0 where all
     or none do."""
     hits = found.hits

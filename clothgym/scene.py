@@ -27,10 +27,17 @@ from clothgym.arrays import (
 from clothgym.body import Body
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, copied
+from clothgym.motion import RigidMotion
 
 _STRONGEST = 1e6
 """Largest component of gravity [m/s^2] and wind [m/s]."""
-_RANGES = (("wind_drag", 0.0, 1e6), ("step", 1e-7, 10.0), ("duration", 0.0, 1e6), ("ground", -1e6, 1e6))
+_RANGES = (
+    ("wind_drag", 0.0, 1e6),
+    ("step", 1e-7, 10.0),
+    ("duration", 0.0, 1e6),
+    ("ground", -1e6, 1e6),
+    ("ignored", 0.0, 1.0),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +47,13 @@ class Cloth:
     Args:
         mesh: a `Mesh`, a trimesh.Trimesh, or a pair (vertices, faces): where the cloth starts [m].
         material: a name of `clothgym.materials.MATERIALS` or a `Material`.
-        pins: ids of vertices that do not move.
+        pins: ids of vertices that do not move, or move as `motion` says.
         rest: the shape without strain; default: the mesh as it starts. (V, 3), or (F, 3, 2) or (F, 3, 3): the corners of
             each face in a plane of its own, as a sewn garment has it, whose seam vertices lie in several panels.
         name: shown in tables and recordings.
         equal_masses: every vertex weighs the same, as in the papers; otherwise a third of the faces around it.
+        motion: of the pinned vertices; None = they stay. A cloth whose vertices are all pinned is a body of any shape, thin
+            and hollow ones too, that touches cloth as cloth does.
 
     Raises:
         ValueError: names the cloth, the field and the value.
@@ -56,6 +65,7 @@ class Cloth:
     rest: Any = None
     name: str = "cloth"
     equal_masses: bool = False
+    motion: RigidMotion | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", check_text(self.name, "cloth.name"))
@@ -71,6 +81,10 @@ class Cloth:
         object.__setattr__(self, "rest", _rest(self.rest, points, len(triangles), self.name))
         object.__setattr__(self, "material", materials.get(self.material))
         object.__setattr__(self, "pins", _pins(self.pins, len(points), self.name))
+        if self.motion is not None and not isinstance(self.motion, RigidMotion):
+            raise ValueError(f"cloth {self.name!r}: motion = {shown(self.motion)}: expected a RigidMotion")
+        if self.motion is not None and not self.pins:
+            raise ValueError(f"cloth {self.name!r}: motion: moves the pinned vertices, and there are none")
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; floats survive exactly."""
@@ -84,15 +98,17 @@ class Cloth:
             "material": materials.get(self.material).to_json(),
             "pins": list(self.pins),
             "equal_masses": self.equal_masses,
+            "motion": None if self.motion is None else self.motion.to_json(),
         }
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Cloth:
         """Raises ValueError for missing or unknown fields, by name."""
         known = {"name", "vertices", "faces", "quads", "rest", "material", "pins", "equal_masses"}
-        unknown = set(values) ^ known
+        unknown = (set(values) - {"motion"}) ^ known  # scenes of before there was motion have none
         if unknown:
             raise ValueError(f"cloth.{min(unknown)}: unknown or missing field; expected {', '.join(sorted(known))}")
+        motion = values.get("motion")
         quads = None if values["quads"] is None else np.asarray(values["quads"], np.int32)
         mesh = Mesh(np.asarray(values["vertices"], float), np.asarray(values["faces"], np.int32), quads)
         return Cloth(
@@ -102,6 +118,7 @@ class Cloth:
             values["rest"],
             values["name"],
             values["equal_masses"],
+            None if motion is None else RigidMotion.from_json(motion),
         )
 
 
@@ -174,6 +191,8 @@ class Scene:
         self_collision: whether cloth can touch cloth; a scene that says no pays for no detection.
         step: length of a step (a frame) [s].
         duration: how long the scene is meant to run [s].
+        ignored: share of all contacts between cloths and of all intersections that detection misses, drawn anew for every step:
+            a test of robustness [Volino 2006, 3.1.2]. What is measured misses nothing.
         name: shown in tables and recordings.
     """
 
@@ -187,6 +206,7 @@ class Scene:
     self_collision: bool = True
     step: float = 1.0 / 60.0
     duration: float = 2.0
+    ignored: float = 0.0
     name: str = "scene"
 
     def __post_init__(self) -> None:
@@ -202,6 +222,11 @@ class Scene:
                 # stored as plain numbers, so that JSON and hashes do not depend on the caller's types
                 object.__setattr__(self, field, check_number(getattr(self, field), f"scene.{field}", low, high))
         object.__setattr__(self, "self_collision", check_flag(self.self_collision, "scene.self_collision"))
+        for cloth in self.cloths:
+            if cloth.motion is not None and not self.self_collision:
+                raise ValueError(
+                    f"cloth {cloth.name!r}: motion: needs scene.self_collision, without it nothing touches it"
+                )
         object.__setattr__(self, "name", check_text(self.name, "scene.name"))
 
     @cached_property

@@ -23,7 +23,7 @@ FLOORS = {
     0: ("_jit", "arrays", "errors"),
     1: ("kernels",),
     2: (
-        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "torso", "body", "assets"),
+        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "torso", "body", "motion", "assets"),
         *("pattern", "garmentcode", "panel_mesh", "garment"),
     ),
     3: ("scene",),

@@ -435,7 +435,7 @@ def test_h0_and_g0_matter():
     ({"passes": 2.5}, "passes = 2.5"),
     ({"h0": 0.0}, "h0 = 0.0"),
     ({"g0": float("nan")}, "g0 = nan"),
-    ({"strategy": "unheard"}, "strategy = 'unheard': expected one of none, local, global, hybrid"),
+    ({"strategy": "unheard"}, "strategy = 'unheard': expected one of none, local, global, exact, area, gia, hybrid,"),
     ({"strategy": "no_such_module:X"}, "no_such_module"),
     ({"strategy": 5}, "propose"),
     ({"fixed": [0, 1]}, "fixed: expected"),

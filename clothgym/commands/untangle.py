@@ -26,6 +26,10 @@ the file as written. IN may be OUT: the old file stays until the new one is whol
 Exit code: 0 no intersection is left, 1 some are left (OUT is written all the same), 2 bad input.
 """
 
+_STRATEGIES = (
+    "none, local, global, exact, area, gia, hybrid, coherence, stall, annealed, flatten, or package.module:Name."
+)
+
 
 def register(app: typer.Typer) -> None:
     """Adds the command."""
@@ -35,9 +39,7 @@ def register(app: typer.Typer) -> None:
 def untangle(
     source: Annotated[Path, typer.Argument(metavar="IN", help="The mesh to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="The mesh to write.")],
-    strategy: Annotated[
-        str, typer.Option("--strategy", metavar="S", help="local, global, hybrid, or package.module:Name.")
-    ] = "hybrid",
+    strategy: Annotated[str, typer.Option("--strategy", metavar="S", help=_STRATEGIES)] = "hybrid",
     passes: Annotated[int, typer.Option("--passes", metavar="N", help="Largest number of corrections.")] = 100,
     fixed: Annotated[
         Path | None,

@@ -68,6 +68,7 @@ def _geometry() -> None:
     import clothgym as cg
     from clothgym.detection.hierarchy import Hierarchy
     from clothgym.detection.intersections import Intersections
+    from clothgym.response import untangling
 
     vertices, faces = _crossing_sheets()
     hits = cg.intersections(vertices, faces)
@@ -78,8 +79,11 @@ def _geometry() -> None:
     tree = Hierarchy(surface, vertices)
     tree.refit(vertices, vertices, 0.0)
     Intersections(vertices, surface, tree.edges_against_faces())
-    for strategy in ("local", "global", "hybrid"):
+    for strategy in untangling.STRATEGIES:
         cg.untangle(vertices, faces, strategy=strategy, passes=2)
+    poked = vertices[:25] + np.array([0.013, 0.01, 0.007])
+    poked[12, 1] -= 0.03  # through the other sheet, so that the contour cuts off a region
+    cg.untangle(np.concatenate([vertices[:25], poked]), faces, strategy="gia", passes=2)
 
 
 def _crossing_sheets() -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +180,7 @@ def _contact() -> None:
         _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()
     crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
-    for near_hits in ("keep", "off_any", "off_both"):
+    for near_hits in ("keep", "off_any", "off_both", "limited"):
         _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     _steps(crossing, euler, 1)

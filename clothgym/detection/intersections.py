@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym.arrays import FloatArray, IntArray, check_number
+from clothgym.arrays import BoolArray, FloatArray, IntArray, check_number
+from clothgym.detection.contours import Contour, described, grouped
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.kernels import contour as contour_kernels
 from clothgym.kernels import proximity
@@ -24,37 +25,17 @@ _WORN = 1.5
 _PLACED = {"parameters", "weights", "points"}
 """Attributes of `Intersections` that are made together at first use."""
 
+_FOUND = ("vertices", "surface", "skipped_faces", "edge_triangle_tests", "exact_tests", "_scaled", "_power")
+"""What does not depend on which hits are kept."""
+
 _JOINED = {
-    *("first_hit", "second_hit", "_pair_faces", "hits_per_pair", "loop_vertex", "segments", "segment_lengths"),
+    *("first_hit", "second_hit", "pair_faces", "hits_per_pair", "loop_vertex"),
     *("contour", "contour_count", "contour_consistent", "hit_contour", "hit_side"),
 }
-"""The same, from the places."""
+"""The same, from the hits."""
 
-
-@dataclass(frozen=True)
-class Contour:
-    """One intersection contour.
-
-    Attributes:
-        length: [m], each segment once.
-        hit_count: number of hits.
-        closed: every hit's segments all continue at another hit.
-        ends: how an open contour ends, sorted letters: B = at a border edge, I = in the inside of a face that a border
-            edge pierces (the same point seen from the other surface), L = at a loop vertex.
-        kind: "Closed", "LL", "BLI" (one loop vertex), "BBII" (both borders on one side), "BIBI" (one on each side),
-            "branched" (a seam of three or more faces on the way), or "Open" for any other.
-        self_contour: both sides lie on one connected component.
-        consistent: its two sides can be told apart (False for figures like Eight).
-        components: ids of the connected components that it joins.
-    """
-
-    length: float
-    hit_count: int
-    closed: bool
-    kind: str
-    self_contour: bool
-    consistent: bool
-    components: tuple[int, ...]
+_DRAWN = {"segments", "segment_lengths"}
+"""The same, from both."""
 
 
 class Intersections:
@@ -98,12 +79,23 @@ class Intersections:
         self.hit_count = int(found)
         self._scaled, self._power = scaled, power
 
+    def keeping(self, kept: BoolArray) -> Intersections:
+        """The same intersections as a detector would report that saw only the hits with kept (H,) true."""
+        seen = object.__new__(Intersections)
+        seen.__dict__.update({name: self.__dict__[name] for name in _FOUND})
+        for name in ("hit_edge", "hit_face", *sorted(_PLACED)):
+            setattr(seen, name, np.ascontiguousarray(getattr(self, name)[kept]))
+        seen.hit_count = int(kept.sum())
+        return seen
+
     def __getattr__(self, name: str) -> Any:
         """Places, segments and contours are made when first asked for: who wants to know what hits need not wait for them."""
         if name in _PLACED:
             self._place()
         elif name in _JOINED:
             self._join()
+        elif name in _DRAWN:
+            self._draw()
         else:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return self.__dict__[name]
@@ -120,7 +112,7 @@ class Intersections:
         self.points = np.ldexp(self.points, -self._power)
 
     def _join(self) -> None:
-        """Pairs, segments and contours from the hits."""
+        """Pairs of faces and contours from the hits."""
         s, found = self.surface.arrays, self.hit_count
         per_hit = np.diff(s.edge_face_start)[self.hit_edge]
         ends = int(per_hit.sum())
@@ -129,16 +121,14 @@ class Intersections:
         contour_kernels.segment_ends(
             self.hit_edge, self.hit_face, s.edge_face_start, s.edge_face_ids, face_count, keys, owners
         )
+        first, second, loop = (np.empty(ends, np.int64) for _ in range(3))
+        pair_faces, per_pair = np.empty((ends, 2), np.int32), np.empty(ends, np.int64)
         order = np.argsort(keys, kind="stable")
-        keys, owners = keys[order], owners[order]
-        starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]]) if ends else np.zeros(0, np.int64)
-        sizes = np.diff(np.r_[starts, ends])
-        self.first_hit: NDArray[np.int64] = owners[starts]
-        self.second_hit: NDArray[np.int64] = np.full(len(starts), -1, np.int64)
-        two = sizes >= 2
-        self.second_hit[two] = owners[starts[two] + 1]
-        self._pair_faces = np.stack([keys[starts] // face_count, keys[starts] % face_count], 1).astype(np.int32)
-        self.hits_per_pair = sizes
+        pairs = contour_kernels.match_hits(order, keys, owners, s.faces, first, second, pair_faces, per_pair, loop)
+        self.first_hit: NDArray[np.int64] = first[:pairs]
+        self.second_hit: NDArray[np.int64] = second[:pairs]
+        self.loop_vertex: NDArray[np.int64] = loop[:pairs]
+        self.pair_faces, self.hits_per_pair = pair_faces[:pairs], per_pair[:pairs]
         hit_contour, side = np.empty(found, np.int64), np.empty(found, np.int64)
         consistent = np.ones(found, np.bool_)
         count = contour_kernels.join_contours(
@@ -149,15 +139,11 @@ class Intersections:
         self.hit_side = 1.0 - 2.0 * side
         self.contour_consistent = consistent[:count]
         self.contour = hit_contour[self.first_hit] if len(self.first_hit) else np.zeros(0, np.int64)
-        # the end of a one-hit segment is the vertex that both faces share
-        self.loop_vertex: NDArray[np.int64] = np.full(len(starts), -1, np.int64)
-        single = np.flatnonzero(~two)
-        if len(single):
-            a, b = s.faces[self._pair_faces[single, 0]], s.faces[self._pair_faces[single, 1]]
-            shared = (a[:, :, None] == b[:, None, :]).any(axis=2)
-            one = shared.sum(axis=1) == 1
-            self.loop_vertex[single[one]] = a[one][shared[one]]
-        second = np.where(two, self.second_hit, self.first_hit)
+
+    def _draw(self) -> None:
+        """Where the segments lie."""
+        found = self.hit_count
+        second = np.where(self.second_hit >= 0, self.second_hit, self.first_hit)
         finish = self.points[second] if found else np.zeros((0, 3))
         loops = self.loop_vertex >= 0
         finish[loops] = self.vertices[self.loop_vertex[loops]]
@@ -168,7 +154,7 @@ class Intersections:
     @property
     def pairs(self) -> IntArray:
         """(S, 2) intersecting face pairs, a < b, sorted; ids of the faces as given."""
-        return self.surface.face_ids[self._pair_faces]
+        return self.surface.face_ids[self.pair_faces]
 
     @property
     def edge_triangle(self) -> IntArray:
@@ -213,49 +199,14 @@ class Intersections:
         return np.bincount(self.contour, self.segment_lengths, minlength=self.contour_count).astype(np.float64)
 
     @cached_property
+    def by_contour(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Hits in the order of their contours (H,), and where each contour's begin and end in it (C + 1,)."""
+        return grouped(self.hit_contour, self.contour_count)
+
+    @cached_property
     def contours(self) -> list[Contour]:
         """Every contour with its kind, in order of its smallest hit."""
-        s = self.surface
-        degree = s.edge_face_count[self.hit_edge]
-        components = s.components
-        hit_counts = np.bincount(self.hit_contour, minlength=self.contour_count)
-        on_edge = components[s.edges[self.hit_edge, 0]] if self.hit_count else np.zeros(0, np.int64)
-        on_face = components[s.faces[self.hit_face, 0]] if self.hit_count else np.zeros(0, np.int64)
-        loops = np.bincount(self.contour[self.loop_vertex >= 0], minlength=self.contour_count)
-        open_pair = (self.hits_per_pair == 1) & (self.loop_vertex < 0)
-        holes = np.bincount(self.contour[open_pair], minlength=self.contour_count)
-        order = np.argsort(self.hit_contour, kind="stable")
-        bounds = np.cumsum(np.r_[0, hit_counts])
-        result = []
-        for c in range(self.contour_count):
-            hits = order[bounds[c] : bounds[c + 1]]
-            borders = hits[degree[hits] == 1]
-            joined = tuple(int(i) for i in np.unique(np.r_[on_edge[hits], on_face[hits]]))
-            closed = bool(len(borders) == 0 and loops[c] == 0 and holes[c] == 0)
-            if (degree[hits] > 2).any():
-                kind = "branched"
-            elif closed:
-                kind = "Closed"
-            elif loops[c] == 2 and len(borders) == 0:
-                kind = "LL"
-            elif loops[c] == 1 and len(borders) == 1:
-                kind = "BLI"
-            elif loops[c] == 0 and len(borders) == 2 and self.contour_consistent[c]:
-                kind = "BBII" if self.hit_side[borders[0]] == self.hit_side[borders[1]] else "BIBI"
-            else:
-                kind = "Open"
-            result.append(
-                Contour(
-                    length=float(self.contour_lengths[c]),
-                    hit_count=int(hit_counts[c]),
-                    closed=closed,
-                    kind=kind,
-                    self_contour=len(joined) == 1,
-                    consistent=bool(self.contour_consistent[c]),
-                    components=joined,
-                )
-            )
-        return result
+        return described(self)
 
 
 @dataclass(frozen=True)

@@ -139,11 +139,15 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
         for c in range(3):
             contacts.normals[found, c] = separation[n, c]
         rest = CROSSING * rests[n] if crossing else rests[n]
+        limit = math.inf
+        if separation[n, 3] < 0.0:  # beside an intersection
+            limit = yield_force if yield_force > 0.0 else math.inf
+            rest = min(rest, max(0.0, gaps[n] - ways[n])) if yield_force < 0.0 else rest
         contacts.ends[found] = ends
         contacts.mobility[found] = mobility
         contacts.rest[found] = rest
         contacts.clear[found] = gaps[n] - ways[n] - rest
-        contacts.limit[found] = yield_force if separation[n, 3] < 0.0 else math.inf
+        contacts.limit[found] = limit
         found += 1
     return found
 
@@ -200,7 +204,8 @@ def narrowed(x, p, watched, count, inverse_masses, apart, both, yield_force, kno
 def narrow(x, p, watched, count, inverse_masses, apart, both, yield_force, known, contacts):
     """Contacts on the way from x to p (V, 3); `known` of them were collected at the last look, negative = none is up to date.
 
-    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise.
+    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise; if
+    it is negative, they keep the distance that they have where it is less than the thickness.
     Returns how many contacts there are, more than fit if the capacity does not suffice, how many of them are live, and how
     many pairs were measured.
     """

@@ -32,7 +32,7 @@ class Rules(NamedTuple):
 
     friction: float
     both: bool  # pairs are beside an intersection if both sides are
-    yield_force: float  # [N] such a contact gives way above it; 0 = there is none
+    yield_force: float  # [N] such a contact gives way above it; 0 = there is none; negative = it keeps the distance it has
     rounds: int  # sweeps that push pairs apart before zones move as one
     thickness: NDArray  # (V,) [m]
     apart: NDArray  # (V,) bool: beside an intersection

@@ -1,12 +1,36 @@
-"""Corrections of intersection contour minimization [Volino 2006, eq. 4 and 5] and the flood fill of cut regions."""
+"""Corrections of intersection contour minimization [Volino 2006, eq. 4 and 5], and others that keep momentum."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
+
+
+class Hits(NamedTuple):
+    """Hits, as `Intersections` has them."""
+
+    edge: NDArray  # (H,)
+    face: NDArray  # (H,)
+    parameter: NDArray  # (H,)
+    weights: NDArray  # (H, 3)
+    order: NDArray  # (H,) contour by contour
+    bounds: NDArray  # (C + 1,) of each contour in `order`
+
+
+class Strings(NamedTuple):
+    """Segments of contours."""
+
+    first: NDArray  # (S,) hit
+    second: NDArray  # (S,) hit, -1 = none
+    loop: NDArray  # (S,) loop vertex, -1 = none
+    ends: NDArray  # (S, 2, 3) [m]
+    order: NDArray  # (S,) contour by contour
+    bounds: NDArray  # (C + 1,)
 
 
 @kernel
@@ -53,12 +77,12 @@ def global_targets(totals, contour, sign, h0, g0, targets):
 
 @kernel
 def distribute(
-    faces, edges, inverse_masses, hit_edge, hit_face, parameters, weights, targets, order, contour, cap, total
+    faces, edges, inverse_masses, hit_edge, hit_face, parameters, weights, targets, order, contour, caps, total
 ):
     """Moves edges and faces so that each hit gets its relative displacement; linear and angular momentum are kept.
 
     dx_i = q_i c_i H / sum_j c_j^2 q_j with c = (1 - t, t, -w). The sum over a contour's hits is scaled as a whole so that
-    no vertex moves further than `cap` [m]. `order` (H,) lists the hits by contour; adds to total (V, 3) [m].
+    no vertex moves further than its cap (C,) [m]. `order` (H,) lists the hits by contour; adds to total (V, 3) [m].
     """
     scratch = np.zeros(total.shape, np.float64)
     touched = np.empty(5 * hit_edge.shape[0], np.int64)
@@ -96,6 +120,7 @@ def distribute(
             i = touched[n]
             largest = max(largest, scratch[i, 0] ** 2 + scratch[i, 1] ** 2 + scratch[i, 2] ** 2)
         largest = math.sqrt(largest)
+        cap = caps[contour[order[start]]]
         scale = cap / largest if largest > cap else 1.0
         for n in range(used):
             i = touched[n]
@@ -105,36 +130,129 @@ def distribute(
         start = stop
 
 
-@kernel
-def cut_regions(neighbour_start, neighbours, neighbour_edges, areas, edges, cut, cut_edges, label, stack, region_area):
-    """Floods the vertices beside cut edges without crossing a cut edge.
+@device
+def _list(listed, touched, used, i):
+    """Adds vertex i to the touched ones, once; returns how many there are."""
+    if listed[i]:
+        return used
+    listed[i] = True
+    touched[used] = i
+    return used + 1
 
-    cut (E,) marks edges that the contour crosses an odd number of times, cut_edges (K,) lists them. Writes label (V,)
-    region ids for reached vertices (others keep -1) and region_area [m^2]; returns the number of regions.
+
+@kernel
+def exact_steps(faces, edges, hits, frames, strings, limit, inverse_masses, cap, total):
+    """Newton-like steps against the exact gradient of the length, contour by contour; adds to total (V, 3) [m].
+
+    The gradient is the pull of a string of unit tension along every segment, on the edges that carry its ends or the loop
+    vertex where it ends, and kappa N between the edge and the face of every hit. Each of these keeps momentum for itself, so
+    kappa may be saturated at `limit` (exact where infinite) and segments without a second end left out. The step would bring a
+    contour's length to zero if that were linear, and moves no vertex further than `cap` [m].
     """
-    regions = 0
-    for n in range(cut_edges.shape[0]):
-        for end in range(2):
-            seed = edges[cut_edges[n], end]
-            if label[seed] >= 0:
+    force = np.zeros(total.shape, np.float64)
+    listed = np.zeros(total.shape[0], np.bool_)
+    touched = np.empty(total.shape[0], np.int64)
+    for c in range(hits.bounds.shape[0] - 1):
+        used = 0
+        for n in range(hits.bounds[c], hits.bounds[c + 1]):
+            h = hits.order[n]
+            kappa = frames[h, 7] / math.sqrt(1.0 + (frames[h, 7] / limit) ** 2)
+            for k in range(5):
+                if k < 2:
+                    i = edges[hits.edge[h], k]
+                    share = 1.0 - hits.parameter[h] if k == 0 else hits.parameter[h]
+                else:
+                    i = faces[hits.face[h], k - 2]
+                    share = -hits.weights[h, k - 2]
+                used = _list(listed, touched, used, i)
+                for a in range(3):
+                    force[i, a] -= share * kappa * frames[h, 3 + a]
+        length = 0.0
+        for n in range(strings.bounds[c], strings.bounds[c + 1]):
+            s = strings.order[n]
+            size = 0.0
+            for a in range(3):
+                size += (strings.ends[s, 1, a] - strings.ends[s, 0, a]) ** 2
+            size = math.sqrt(size)
+            if size == 0.0 or (strings.second[s] < 0 and strings.loop[s] < 0):
                 continue
-            area = 0.0
-            top = 1
-            stack[0] = seed
-            label[seed] = regions
-            while top > 0:
-                top -= 1
-                v = stack[top]
-                area += areas[v]
-                for k in range(neighbour_start[v], neighbour_start[v + 1]):
-                    other = neighbours[k]
-                    if label[other] < 0 and not cut[neighbour_edges[k]]:
-                        label[other] = regions
-                        stack[top] = other
-                        top += 1
-            region_area[regions] = area
-            regions += 1
-    return regions
+            length += size
+            for end in range(2):
+                pull = 1.0 / size if end == 0 else -1.0 / size
+                h = strings.first[s] if end == 0 else strings.second[s]
+                if h < 0:
+                    i = strings.loop[s]
+                    used = _list(listed, touched, used, i)
+                    for a in range(3):
+                        force[i, a] += pull * (strings.ends[s, 1, a] - strings.ends[s, 0, a])
+                    continue
+                for k in range(2):
+                    i = edges[hits.edge[h], k]
+                    share = 1.0 - hits.parameter[h] if k == 0 else hits.parameter[h]
+                    for a in range(3):
+                        force[i, a] += share * pull * (strings.ends[s, 1, a] - strings.ends[s, 0, a])
+        slope = 0.0
+        largest = 0.0
+        for n in range(used):
+            i = touched[n]
+            size = force[i, 0] ** 2 + force[i, 1] ** 2 + force[i, 2] ** 2
+            slope += inverse_masses[i] * size
+            largest = max(largest, inverse_masses[i] * math.sqrt(size))
+        scale = min(length / slope, cap / largest) if slope > 0.0 else 0.0
+        for n in range(used):
+            i = touched[n]
+            listed[i] = False
+            for a in range(3):
+                total[i, a] += scale * inverse_masses[i] * force[i, a]
+                force[i, a] = 0.0
+
+
+@kernel
+def pull_stencils(start, ids, shares, targets, group, inverse_masses, sweeps, cap, total):
+    """Gives each stencil its relative displacement sum_i c_i dx_i along its target; linear momentum is kept, and angular too
+    where the target lies along sum_i c_i x_i. Adds to total (V, 3) [m].
+
+    Stencils (N,) with vertices ids and shares c (their sum is zero) from start (N + 1,) on, sorted by group; those of a group
+    share vertices, so that they are met in turns (Gauss-Seidel), then scaled as a whole to a largest displacement of `cap`.
+    """
+    scratch = np.zeros(total.shape, np.float64)
+    begin = 0
+    count = group.shape[0]
+    while begin < count:
+        stop = begin
+        while stop < count and group[stop] == group[begin]:
+            stop += 1
+        for _ in range(sweeps):
+            for n in range(begin, stop):
+                mobility = 0.0
+                for k in range(start[n], start[n + 1]):
+                    mobility += shares[k] * shares[k] * inverse_masses[ids[k]]
+                if mobility == 0.0:
+                    continue
+                size = math.sqrt(targets[n, 0] ** 2 + targets[n, 1] ** 2 + targets[n, 2] ** 2)
+                if size == 0.0:
+                    continue
+                # along the target alone: a pull across it would turn the stencil
+                missing = size
+                for k in range(start[n], start[n + 1]):
+                    for a in range(3):
+                        missing -= shares[k] * scratch[ids[k], a] * targets[n, a] / size
+                for k in range(start[n], start[n + 1]):
+                    pull = missing / (mobility * size) * shares[k] * inverse_masses[ids[k]]
+                    for a in range(3):
+                        scratch[ids[k], a] += pull * targets[n, a]
+        largest = 0.0
+        for k in range(start[begin], start[stop]):
+            i = ids[k]
+            largest = max(largest, scratch[i, 0] ** 2 + scratch[i, 1] ** 2 + scratch[i, 2] ** 2)
+        largest = math.sqrt(largest)
+        scale = cap / largest if largest > cap else 1.0
+        for k in range(start[begin], start[stop]):
+            i = ids[k]
+            for a in range(3):
+                total[i, a] += scale * scratch[i, a]
+                scratch[i, a] = 0.0
+        begin = stop
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from clothgym.kernels import contact, near_pairs, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.kernels.near_pairs import Watched
 from clothgym.model import ClothModel
+
+if TYPE_CHECKING:
+    from clothgym.detection.faults import Faults
 
 _ERRATIC = 0.5
 """Slack of a vertex as a share of its expected travel: fast vertices are the ones that change their mind."""
@@ -60,6 +64,7 @@ class Candidates:
         self._thickness = float(model.thickness.max())
         self.gathered = 0
         self._booked: dict[str, int] = {}
+        self.faults: Faults | None = None
 
     @property
     def box_pairs(self) -> int:
@@ -134,6 +139,11 @@ class Candidates:
             if found <= len(self.watched.quads):
                 break
             self.watched = watched_pairs(int(1.3 * found), len(self.start))
+        if self.faults is not None:
+            w, seen = self.watched, np.flatnonzero(self.faults.seen(self.watched.quads[:found]))
+            found = len(seen)
+            for values in (w.quads, w.kinds, w.rest, w.gaps, w.weights):
+                values[:found] = values[seen]
         self.count = found
         near_pairs.begin(self.start, self.watched, found)
         self.gathered += found

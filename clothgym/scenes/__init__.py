@@ -9,7 +9,8 @@ from typing import Any
 
 from clothgym.arrays import check_choice, check_number
 from clothgym.scene import Scene
-from clothgym.scenes import crossing, garments, layers, mezger, sheets, shells, validation
+from clothgym.scenes import canonical as canonical_tangles
+from clothgym.scenes import crossing, faulty, garments, hard, layers, mezger, ribbon, sheets, shells, validation
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Description:
     parameters: tuple[Parameter, ...]
 
 
-_FAMILIES = (sheets, crossing, layers, shells, garments, mezger, validation)
+_FAMILIES = (sheets, crossing, canonical_tangles, hard, faulty, ribbon, layers, shells, garments, mezger, validation)
 _MAKERS: dict[str, Callable[..., Scene]] = {}
 _PARAMETERS: dict[str, dict[str, tuple[Any, ...]]] = {}
 for _family in _FAMILIES:

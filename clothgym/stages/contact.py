@@ -40,10 +40,8 @@ class ContactSubsteps:
         self.step, self.candidates, self.apart = step, candidates, apart
         self.kernels, self.prove, self.settle_clamped = contact, certificate.prove, clamped.settle_clamped
         self.contacts = ContactBuffers(max(1024, len(model.faces)))
-        self.near = (
-            fidelity.contacts_near_hits == "off_both",
-            fidelity.yield_force if fidelity.contacts_near_hits == "yield" else 0.0,
-        )
+        beside = {"yield": fidelity.yield_force, "limited": -1.0}  # see `kernels.contact.narrow`
+        self.near = (fidelity.contacts_near_hits == "off_both", beside.get(fidelity.contacts_near_hits, 0.0))
         self.rounds = fidelity.repair_rounds
         in_sweeps = step.integrator.in_sweeps
         self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
@@ -59,8 +57,15 @@ class ContactSubsteps:
         self.watch = Watch(candidates) if fidelity.continuous else None
         if self.watch:
             self.name = f"{self.name[:-1]}, continuous tests]"
+        self.drive: Any = None
         self.pushes = np.zeros((model.vertex_count, 8))
         self.clamped = np.zeros(model.vertex_count, np.bool_)
+
+    def follow(self, drive: Any) -> None:
+        """Pinned vertices move as a `stages.drive.Drive` wants."""
+        self.drive = drive
+        self.flat_substeps = self.together = None
+        self.reads = (*self.reads, "driven")
 
     def _solve(self, frame: Frame, motion: Motion, substep: int) -> None:
         s, model = self.step, frame.model
@@ -158,6 +163,8 @@ class ContactSubsteps:
         now = time.perf_counter()
         frame.substep = n
         s.integrator.predict(frame, motion)
+        if self.drive:
+            self.drive.predict(frame, s.dt)
         now = frame.clock(f"{self.name}: predict", now)
         done, horizon = n - self.base, self.horizon
         late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))

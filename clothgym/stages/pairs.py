@@ -25,6 +25,22 @@ class Rebuild:
         self.candidates.tree.renew(frame.state.positions)
 
 
+class Ignore:
+    """Decides which pairs detection ignores in this step."""
+
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ("ignored",)
+
+    def __init__(self, candidates: Any, share: float) -> None:
+        from clothgym.detection.faults import Faults
+
+        self.faults = candidates.faults = Faults(share)
+        self.name = f"ignore [{100.0 * share:g} % of pairs]"
+
+    def run(self, frame: Frame) -> None:
+        self.faults.step = frame.state.step
+
+
 class FacePairs:
     """Pairs of primitives whose boxes, swept along the expected motion of the step, overlap."""
 

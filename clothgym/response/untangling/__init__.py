@@ -11,24 +11,56 @@ from typing import Protocol
 
 import numpy as np
 
-from clothgym.arrays import BoolArray, FloatArray
+from clothgym.arrays import BoolArray, FloatArray, check_number
+from clothgym.response.untangling.annealed import Annealed
+from clothgym.response.untangling.area import Area
 from clothgym.response.untangling.base import Context, Corrections, displacements
+from clothgym.response.untangling.coherence import Coherence
+from clothgym.response.untangling.exact import Exact
+from clothgym.response.untangling.flatten import Flatten
+from clothgym.response.untangling.gia import GlobalIntersectionAnalysis
 from clothgym.response.untangling.global_scheme import Global
 from clothgym.response.untangling.hybrid import Hybrid
 from clothgym.response.untangling.local import Local
+from clothgym.response.untangling.stall import Stall
 
-__all__ = ["STRATEGIES", "Context", "Corrections", "Strategy", "answer", "displacements", "get", "names"]
+__all__ = ["STRATEGIES", "Context", "Corrections", "Strategy", "answer", "displacements", "get", "memory", "names"]
 
 
 class Strategy(Protocol):
-    """Moves vertices so that intersections go away. Memoryless: a proposal depends on the context alone."""
+    """Moves vertices so that intersections go away.
+
+    Memoryless: a proposal depends on the context alone. A strategy that must remember has an attribute `memory_size` and keeps
+    so many numbers in `Context.memory`, which snapshots and resets include, and nothing in itself.
+    """
 
     def propose(self, context: Context) -> Corrections:
         """Displacements for one pass."""
         ...
 
 
-STRATEGIES: dict[str, type] = {"local": Local, "global": Global, "hybrid": Hybrid}
+STRATEGIES: dict[str, type] = {
+    "local": Local,
+    "global": Global,
+    "exact": Exact,
+    "area": Area,
+    "gia": GlobalIntersectionAnalysis,
+    "hybrid": Hybrid,
+    "coherence": Coherence,
+    "stall": Stall,
+    "annealed": Annealed,
+    "flatten": Flatten,
+}
+
+
+def memory(strategy: Strategy | None) -> FloatArray:
+    """What a strategy remembers when a tangle begins: zeros, as many as its `memory_size` says.
+
+    Raises:
+        ValueError: a `memory_size` that is no number of numbers.
+    """
+    size = check_number(getattr(strategy, "memory_size", 0), "strategy: memory_size", 0, 1_000_000, integer=True)
+    return np.zeros(int(size))
 
 
 def answer(strategy: Strategy, context: Context) -> tuple[FloatArray, BoolArray | None]:

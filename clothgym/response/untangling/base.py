@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray
+from clothgym.detection.contours import Enclosed
 from clothgym.detection.intersections import Intersections
 from clothgym.kernels import untangling as kernels
 
@@ -21,6 +22,8 @@ class Context:
         areas: (V,) rest area of each vertex [m^2].
         h0: largest displacement of a vertex by one contour [m].
         g0: gradient at which corrections saturate [Volino 2006, eq. 5].
+        memory: (M,) numbers of a strategy with `memory_size` = M, its own to change: zero when a tangle begins, kept from pass
+            to pass until it is resolved, part of the state of a simulation. Length 0 for all others, which are memoryless.
     """
 
     intersections: Intersections
@@ -28,6 +31,7 @@ class Context:
     areas: FloatArray
     h0: float
     g0: float
+    memory: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -38,16 +42,15 @@ class Corrections:
     apart: BoolArray | None = None
 
 
-def displacements(context: Context, targets: FloatArray) -> FloatArray:
+def displacements(context: Context, targets: FloatArray, strides: FloatArray | None = None) -> FloatArray:
     """Vertex displacements (V, 3) that give each hit its relative displacement (H, 3) of edge against face.
 
-    The sum over the hits of a contour is scaled as a whole so that no vertex moves further than h0; linear and angular
-    momentum of free vertices are kept.
+    The sum over the hits of a contour is scaled as a whole so that no vertex moves further than h0, or than the contour's
+    own stride (C,) [m]; linear and angular momentum of free vertices are kept.
     """
     hits = context.intersections
     s = hits.surface.arrays
     total = np.zeros_like(hits.vertices)
-    order = np.argsort(hits.hit_contour, kind="stable")
     kernels.distribute(
         s.faces,
         s.edges,
@@ -57,25 +60,39 @@ def displacements(context: Context, targets: FloatArray) -> FloatArray:
         hits.parameters,
         hits.weights,
         targets,
-        order,
+        hits.by_contour[0],
         hits.hit_contour,
-        context.h0,
+        np.full(hits.contour_count, context.h0) if strides is None else strides,
         total,
     )
     return total
 
 
-def global_targets(context: Context) -> FloatArray:
-    """(H, 3) relative displacement of each hit from the summed gradient of its contour [Volino 2006, 2.3]."""
+def contour_gradients(context: Context) -> FloatArray:
+    """(C, 3) sum of s_h G_h over the hits of each contour [Volino 2006, 2.3]."""
     hits = context.intersections
     totals = np.zeros((hits.contour_count, 3))
     kernels.contour_gradients(hits.frames, hits.hit_contour, hits.hit_side, totals)
+    return totals
+
+
+def together(context: Context, totals: FloatArray) -> FloatArray:
+    """(H, 3) relative displacement of each hit along a direction of its whole contour, totals (C, 3), by eq. 5.
+
+    A contour whose sides cannot be told apart has no common direction and is left to the local scheme.
+    """
+    hits = context.intersections
     targets = np.empty((hits.hit_count, 3))
     kernels.global_targets(totals, hits.hit_contour, hits.hit_side, context.h0, context.g0, targets)
     broken = ~hits.contour_consistent[hits.hit_contour]
-    if broken.any():  # sides that cannot be told apart have no common direction
+    if broken.any():
         targets[broken] = local_targets(context)[broken]
     return targets
+
+
+def global_targets(context: Context) -> FloatArray:
+    """(H, 3) relative displacement of each hit from the summed gradient of its contour [Volino 2006, 2.3]."""
+    return together(context, contour_gradients(context))
 
 
 def local_targets(context: Context) -> FloatArray:
@@ -84,3 +101,27 @@ def local_targets(context: Context) -> FloatArray:
     targets = np.empty((hits.hit_count, 3))
     kernels.local_targets(hits.frames, context.h0, context.g0, targets)
     return targets
+
+
+def enclosed(context: Context) -> Enclosed:
+    """The regions that contours cut off, by rest area."""
+    return Enclosed(context.intersections, context.areas)
+
+
+def mean_direction(context: Context, directions: FloatArray, given: BoolArray) -> FloatArray:
+    """(C, 3) unit mean over each contour of the directions (H, 3) that are given (H,), turned by the side of their hits."""
+    hits = context.intersections
+    chosen = np.flatnonzero(given)
+    contour = hits.hit_contour[chosen]
+    turned = hits.hit_side[chosen, None] * directions[chosen]
+    sums = [np.bincount(contour, turned[:, axis], minlength=hits.contour_count) for axis in range(3)]
+    mean = np.stack(sums, axis=1) / np.maximum(np.bincount(contour, minlength=hits.contour_count), 1)[:, None]
+    size = np.linalg.norm(mean, axis=1)
+    return mean / np.where(size > 0.0, size, 1.0)[:, None]
+
+
+def marked(count: int, vertices: np.ndarray) -> BoolArray:
+    """(count,) true at these vertices."""
+    mask = np.zeros(count, np.bool_)
+    mask[vertices] = True
+    return mask

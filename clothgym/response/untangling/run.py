@@ -92,6 +92,7 @@ def untangle(
     mean_edge = float(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1).mean()) if len(edges) else 1.0
     extent = float(np.ptp(x, axis=0).max()) if len(x) else 0.0
     relax = _Relaxation(surface, inverse_masses)
+    memory = untangling.memory(chosen)
     tree = Hierarchy(surface, x)
     lengths: list[float] = []
     counts: list[int] = []
@@ -112,7 +113,7 @@ def untangle(
         if chosen is None or done - best_pass >= _STALL_PASSES:
             reason = "stalled"
             break
-        moved, _ = untangling.answer(chosen, Context(hits, inverse_masses, areas, h0 * mean_edge, g0))
+        moved, _ = untangling.answer(chosen, Context(hits, inverse_masses, areas, h0 * mean_edge, g0, memory))
         x = x + relax(moved)
         done += 1
         if not np.isfinite(x).all() or float(np.abs(x - best_x).max()) > _EXPLOSION * max(extent, mean_edge):

@@ -1,0 +1,332 @@
+"""Contours: their kinds, what they cut off the surface, and where they cross."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.kernels import regions as kernels
+from clothgym.kernels import sides
+from clothgym.mesh import vertex_areas
+
+if TYPE_CHECKING:
+    from clothgym.detection.intersections import Intersections
+
+KINDS = ("Closed", "BBII", "BIBI", "BLI", "LL", "Cross", "Eight", "branched", "Open")
+"""Every kind of contour; the first seven are the canonical ones."""
+
+DOUBTFUL = 0.4
+"""A region with more than this share of its component may as well be the one that is right."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a surface that a contour cuts off: of two parts that meet along it, the one of smaller area.
+
+    Attributes:
+        side: +1 or -1, the side of the contour (see `Intersections.hit_side`) whose surface it is part of; 0 where both sides
+            cut it off together, between loop vertices.
+        area: [m^2], of its vertices.
+        share: of the area of its connected component; which part went through is a guess where that is near a half.
+        vertices: ids.
+        depth: of its deepest vertex below the other surface [m]: distance to the faces that the contour pierces and to the
+            region on the other side.
+    """
+
+    side: int
+    area: float
+    share: float
+    vertices: IntArray
+    depth: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the region is so large that the other part may be the one that went through."""
+        return self.share > DOUBTFUL
+
+
+@dataclass(frozen=True)
+class Contour:
+    """One intersection contour.
+
+    Attributes:
+        length: [m], each segment once.
+        hit_count: number of hits.
+        closed: every hit's segments all continue at another hit.
+        ends: how an open contour ends, sorted letters: B = at a border edge, I = in the inside of a face that a border
+            edge pierces (the same point seen from the other surface), L = at a loop vertex, "?" = the next hit is missing.
+        kind: the first that holds of "branched" (a seam of three or more faces on the way), "Eight" (its two sides cannot be
+            told apart), "Cross" (another contour, or itself, crosses it on the surface: three sheets meet there), "Closed",
+            "LL", "BLI" (one loop vertex, one border), "BBII" (both borders on one side), "BIBI" (one on each side), "Open".
+        self_contour: both sides lie on one connected component.
+        consistent: its two sides can be told apart.
+        components: ids of the connected components that it joins.
+        branches: hits where it meets a seam.
+        crossings: how often contours cross it, counted on every surface.
+        regions: what it cuts off; none where its kind is "Eight".
+        depth: the largest of the regions' depths [m]; 0 without regions.
+    """
+
+    length: float
+    hit_count: int
+    closed: bool
+    ends: str
+    kind: str
+    self_contour: bool
+    consistent: bool
+    components: tuple[int, ...]
+    branches: int
+    crossings: int
+    regions: tuple[Region, ...]
+
+    @property
+    def depth(self) -> float:
+        return max((region.depth for region in self.regions), default=0.0)
+
+    @property
+    def area(self) -> float:
+        """Area of all regions [m^2]."""
+        return sum(region.area for region in self.regions)
+
+
+def grouped(group: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Members in the order of their groups (N,), and where each of `count` groups begins and ends in it (count + 1,)."""
+    bounds = np.zeros(count + 1, np.int64)
+    np.cumsum(np.bincount(group, minlength=count), out=bounds[1:])
+    return np.argsort(group, kind="stable"), bounds
+
+
+class Enclosed:
+    """Regions that the contours of an intersection cut off, found by flood fill [Baraff 2003].
+
+    Each side of a contour is flooded for itself. Where a contour ends at loop vertices, both sides meet there and cut off a
+    region together; if it has one such end and one at a border, a corner is folded through, and what is missing between the
+    contour and the border of the other surface is the shortest way there. Contours whose sides cannot be told apart cut off
+    nothing.
+
+    Args:
+        hits: intersections.
+        areas: (V,) of the vertices [m^2], which decide what is smaller; of the rest shape, so that no stretch changes the mind.
+
+    Attributes:
+        inside_end: (H,) which end of a hit's edge lies in the region, 0 or 1; -1 = none.
+        region: (H,) that region, -1 = none.
+        contour, side, area, share: (R,) as in `Region`; start: (R + 1,) where the vertices of each begin and end in `inside`.
+    """
+
+    def __init__(self, hits: Intersections, areas: FloatArray) -> None:
+        self.hits = hits
+        count = hits.hit_count
+        order, bounds = hits.by_contour
+        loops = np.flatnonzero(hits.loop_vertex >= 0)
+        border = hits.surface.edge_face_count[hits.hit_edge] == 1
+        borders = np.bincount(hits.hit_contour[border], minlength=hits.contour_count)
+        at, wall_bounds = grouped(hits.contour[loops], hits.contour_count)
+        cuts = kernels.Cuts(
+            order,
+            bounds,
+            hits.hit_edge,
+            hits.hit_face,
+            hits.hit_side,
+            np.diff(wall_bounds) == 0,
+            ~hits.contour_consistent,
+            wall_bounds,
+            hits.loop_vertex[loops][at],
+            (np.diff(wall_bounds) == 1) & (borders == 1),
+        )
+        surface = hits.surface
+        component = surface.components
+        weights = np.ascontiguousarray(areas[: len(component)])
+        graph = kernels.Graph(
+            *surface.neighbourhood,
+            surface.edges,
+            surface.face_edges,
+            surface.edge_face_start,
+            surface.edge_face_ids,
+            weights,
+            component,
+            np.bincount(component, weights, minlength=1),
+        )
+        found = kernels.Enclosed(
+            np.empty(count, np.int8),
+            np.empty(count, np.int64),
+            np.empty(2 * count, np.int64),
+            np.empty(2 * count),
+            np.empty(2 * count),
+            np.empty(2 * count),
+            np.zeros(2 * count + 1, np.int64),
+        )
+        members = np.empty(max(256, count), np.int32)
+        while True:
+            regions, used = kernels.flood(cuts, graph, found, members)
+            if used <= len(members):
+                break
+            members = np.empty(used, np.int32)
+        self.inside_end, self.region = found.inside_end, found.region
+        self.contour, self.side = found.contour[:regions], found.side[:regions]
+        self.area, self.share = found.area[:regions], found.share[:regions]
+        self.start, self._members = found.start[: regions + 1], members[:used]
+
+    def __len__(self) -> int:
+        return len(self.contour)
+
+    def vertices(self, region: int) -> IntArray:
+        """Ids of a region's vertices."""
+        return self._members[self.start[region] : self.start[region + 1]]
+
+    @property
+    def inside(self) -> IntArray:
+        """Vertices of all regions, one after the other; those in several stand there as often."""
+        return self._members
+
+    @cached_property
+    def of_contour(self) -> list[list[int]]:
+        """The regions of each contour."""
+        listed: list[list[int]] = [[] for _ in range(self.hits.contour_count)]
+        for region, contour in enumerate(self.contour.tolist()):
+            listed[contour].append(region)
+        return listed
+
+    def outward(self) -> FloatArray:
+        """(H, 3) unit normal of each hit's face, towards the outer end of its edge; 0 where nothing is cut off."""
+        hits = self.hits
+        edges, x = hits.surface.edges[hits.hit_edge], hits.vertices
+        way = x[edges[:, 1]] - x[edges[:, 0]]
+        way[self.inside_end == 1] *= -1.0
+        normals = hits.frames[:, 3:6]
+        along = np.einsum("ij,ij->i", way, normals)
+        return np.where(along[:, None] >= 0, normals, -normals) * (self.inside_end >= 0)[:, None]
+
+    def patch(self, region: int) -> IntArray:
+        """Faces of the surface that a region lies behind: those that the contour pierces on its side, and those of the regions
+        on the other side. Without the region's own faces."""
+        hits, surface = self.hits, self.hits.surface
+        order, bounds = hits.by_contour
+        c, side = self.contour[region], self.side[region]
+        members = order[bounds[c] : bounds[c + 1]]
+        if side != 0.0:
+            members = members[hits.hit_side[members] == side]
+        inside = np.zeros(surface.vertex_count, np.bool_)
+        for other in self.of_contour[c]:
+            if self.side[other] != side:
+                inside[self.vertices(other)] = True
+        chosen: BoolArray = np.array(inside[surface.faces].any(axis=1))
+        chosen[hits.hit_face[members]] = True
+        inside[:] = False
+        inside[self.vertices(region)] = True
+        if side == 0.0:
+            chosen &= ~inside[surface.faces].any(axis=1)
+        else:
+            chosen &= ~inside[surface.faces].all(axis=1)
+        return np.flatnonzero(chosen).astype(np.int32)
+
+    def nearest(self, region: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+        """Where a region's vertices would go back through.
+
+        Returns:
+            Its vertices (N,), for each the nearest face (N,) of `patch`, the weights (N, 3) of the nearest point and its
+            distance (N,) [m]; empty without a patch.
+        """
+        vertices, faces = self.vertices(region), self.patch(region)
+        if len(faces) == 0:
+            return vertices[:0], vertices[:0], np.zeros((0, 3)), np.zeros(0)
+        triangles = np.ascontiguousarray(self.hits.surface.faces[faces])
+        points = np.concatenate([self.hits.vertices, self.hits.vertices[vertices]])
+        boxes, blocks = np.empty((len(faces), 6)), np.empty((-(-len(faces) // sides.BLOCK), 6))
+        sides.face_boxes(points, triangles, boxes, blocks)
+        face, weights = np.zeros(len(vertices), np.int32), np.zeros((len(vertices), 3))
+        distance = np.zeros(len(vertices))
+        sides.closest_faces(points, len(self.hits.vertices), triangles, boxes, blocks, face, weights, distance)
+        return vertices, faces[face], weights, distance
+
+
+def described(hits: Intersections) -> list[Contour]:
+    """Every contour of an intersection with its kind and regions, in order of its smallest hit."""
+    s = hits.surface
+    count = hits.contour_count
+    degree = s.edge_face_count[hits.hit_edge]
+    on_edge = s.components[s.edges[hits.hit_edge, 0]]
+    on_face = s.components[s.faces[hits.hit_face, 0]]
+    loops = np.bincount(hits.contour[hits.loop_vertex >= 0], minlength=count)
+    holes = np.bincount(hits.contour[(hits.second_hit < 0) & (hits.loop_vertex < 0)], minlength=count)
+    order, bounds = hits.by_contour
+    found = Enclosed(hits, vertex_areas(hits.vertices, s.faces))
+    crossings = _crossings(hits)
+    result = []
+    for c in range(count):
+        members = order[bounds[c] : bounds[c + 1]]
+        borders = members[degree[members] == 1]
+        joined = tuple(int(i) for i in np.unique(np.r_[on_edge[members], on_face[members]]))
+        result.append(
+            Contour(
+                length=float(hits.contour_lengths[c]),
+                hit_count=len(members),
+                closed=bool(len(borders) == 0 and loops[c] == 0 and holes[c] == 0),
+                ends="B" * len(borders) + "I" * len(borders) + "L" * int(loops[c]) + "?" * int(holes[c]),
+                kind=_kind(hits, c, members, borders, int(loops[c]), int(holes[c]), int(crossings[c])),
+                self_contour=len(joined) == 1,
+                consistent=bool(hits.contour_consistent[c]),
+                components=joined,
+                branches=int((degree[members] > 2).sum()),
+                crossings=int(crossings[c]),
+                regions=tuple(_region(found, r) for r in found.of_contour[c]),
+            )
+        )
+    return result
+
+
+def _kind(
+    hits: Intersections,
+    c: int,
+    members: NDArray[np.int64],
+    borders: NDArray[np.int64],
+    loops: int,
+    holes: int,
+    crossings: int,
+) -> str:
+    if (hits.surface.edge_face_count[hits.hit_edge[members]] > 2).any():
+        return "branched"
+    if not hits.contour_consistent[c]:
+        return "Eight"
+    if crossings > 0:
+        return "Cross"
+    if holes > 0:
+        return "Open"
+    if len(borders) == 2 and loops == 0:
+        return "BBII" if hits.hit_side[borders[0]] == hits.hit_side[borders[1]] else "BIBI"
+    return {(0, 0): "Closed", (0, 2): "LL", (1, 1): "BLI"}.get((len(borders), loops), "Open")
+
+
+def _region(found: Enclosed, region: int) -> Region:
+    distance = found.nearest(region)[3]
+    return Region(
+        int(found.side[region]),
+        float(found.area[region]),
+        float(found.share[region]),
+        found.vertices(region),
+        float(distance.max(initial=0.0)),
+    )
+
+
+def _crossings(hits: Intersections) -> NDArray[np.int64]:
+    """(C,) how often contours cross each contour on the surface."""
+    crossings = np.zeros(hits.contour_count, np.int64)
+    pair_faces = hits.pair_faces.ravel().astype(np.int64)
+    order, bounds = grouped(pair_faces, len(hits.surface.faces))
+    kernels.count_crossings(
+        hits.vertices,
+        hits.surface.faces,
+        bounds,
+        order // 2,
+        hits.segments,
+        hits.first_hit,
+        hits.second_hit,
+        hits.contour,
+        crossings,
+    )
+    return crossings

@@ -1,0 +1,305 @@
+"""What contours do on the surface: the regions that they cut off, and the points where they cross each other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clothgym._jit import device, kernel
+from clothgym.kernels.vec3 import triangle_normal
+
+
+class Cuts(NamedTuple):
+    """Where contours cut the edges of a surface; H hits, sorted by contour in `order`."""
+
+    order: NDArray  # (H,) hits, contour by contour
+    bounds: NDArray  # (C + 1,) of each contour in `order`
+    edge: NDArray  # (H,) edge of each hit
+    face: NDArray  # (H,) face of each hit
+    side: NDArray  # (H,) +1 or -1
+    divided: NDArray  # (C,) bool: both sides are flooded for themselves; else all cuts of a contour work together
+    skipped: NDArray  # (C,) bool: no flood
+    wall_start: NDArray  # (C + 1,)
+    walls: NDArray  # loop vertices of each contour, through which no flood passes
+    extended: NDArray  # (C,) bool: where a border edge pierces a face, the cut goes on from there to the nearest border
+
+
+class Graph(NamedTuple):
+    """Vertices and edges of a surface."""
+
+    start: NDArray  # (V + 1,)
+    neighbours: NDArray
+    neighbour_edges: NDArray
+    edges: NDArray  # (E, 2)
+    face_edges: NDArray  # (F, 3)
+    edge_face_start: NDArray  # (E + 1,)
+    edge_face_ids: NDArray
+    areas: NDArray  # (V,) [m^2]
+    component: NDArray  # (V,)
+    component_areas: NDArray  # [m^2]
+
+
+class Enclosed(NamedTuple):
+    """What a flood found; R regions of at most 2 H."""
+
+    inside_end: (
+        NDArray  # (H,) int8 which end of the hit's edge lies in the smaller region; -1 = the contour cuts nothing off
+    )
+    region: NDArray  # (H,) the smaller region at the hit, -1 = none
+    contour: NDArray  # (R,)
+    side: NDArray  # (R,) +1 or -1; 0 where both sides together cut it off
+    area: NDArray  # (R,) [m^2]
+    share: NDArray  # (R,) of its component's area
+    start: NDArray  # (R + 1,)
+
+
+@device
+def _root(parent, r):
+    while parent[r] != r:
+        parent[r] = parent[parent[r]]
+        r = parent[r]
+    return r
+
+
+@device
+def _reach_border(face, graph, cut, stamp, seen, way, came, extra):
+    """Edges between a face and the nearest border, the border's own included, that the contour does not cut; 0 if there are
+    none. Scratch over faces: seen, holding the stamps of earlier searches, way and came; returns how many edges."""
+    head = 0
+    tail = 1
+    way[0] = face
+    seen[face] = stamp
+    came[face] = -1
+    while head < tail:
+        f = way[head]
+        head += 1
+        for k in range(3):
+            e = graph.face_edges[f, k]
+            if cut[e]:
+                continue
+            if graph.edge_face_start[e + 1] - graph.edge_face_start[e] == 1:
+                count = 0
+                while True:
+                    extra[count] = e
+                    count += 1
+                    e = came[f]
+                    if e < 0:
+                        return count
+                    # back to the face that this one was reached from: the one of the edge that was seen first
+                    for n in range(graph.edge_face_start[e], graph.edge_face_start[e + 1]):
+                        other = graph.edge_face_ids[n]
+                        if other != f and seen[other] == stamp and came[other] != e:
+                            f = other
+                            break
+            for n in range(graph.edge_face_start[e], graph.edge_face_start[e + 1]):
+                other = graph.edge_face_ids[n]
+                if seen[other] != stamp:
+                    seen[other] = stamp
+                    came[other] = e
+                    way[tail] = other
+                    tail += 1
+    return 0
+
+
+@kernel
+def flood(cuts, graph, found, members):
+    """Regions that contours cut off: vertices that cannot be reached without crossing the contour an odd number of times.
+
+    All regions of a contour grow at the same pace, and the flood ends when only one still grows: that one has what is left of
+    the component, so that small contours on large meshes are cheap. At every hit the region of smaller area is the inside one.
+    Writes `found` and the vertices of inside regions to members (M,) as far as they fit; returns (regions, members).
+    """
+    vertices = graph.start.shape[0] - 1
+    hits = cuts.order.shape[0]
+    cut = np.zeros(graph.edges.shape[0], np.bool_)
+    label = np.full(vertices, -1, np.int32)
+    queue = np.empty(vertices, np.int32)
+    parent = np.empty(2 * hits, np.int32)
+    growing = np.empty(2 * hits, np.int64)
+    area = np.empty(2 * hits, np.float64)
+    number = np.empty(2 * hits, np.int64)
+    root_of = np.empty(2 * hits, np.int64)
+    sizes = np.empty(2 * hits, np.int64)
+    faces = graph.face_edges.shape[0]
+    seen = np.full(faces, -1, np.int32)
+    way = np.empty(faces, np.int32)
+    came = np.empty(faces, np.int32)
+    extra = np.empty(faces + 1, np.int32)
+    regions = 0
+    used = 0
+    for h in range(hits):
+        found.inside_end[h] = -1
+        found.region[h] = -1
+    for c in range(cuts.bounds.shape[0] - 1):
+        if cuts.skipped[c]:
+            continue
+        for w in range(cuts.wall_start[c], cuts.wall_start[c + 1]):
+            label[cuts.walls[w]] = -2
+        for group in range(2 if cuts.divided[c] else 1):
+            side = 0.0 if not cuts.divided[c] else (1.0 if group == 0 else -1.0)
+            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
+                h = cuts.order[n]
+                if side == 0.0 or cuts.side[h] == side:
+                    cut[cuts.edge[h]] = not cut[cuts.edge[h]]
+            extended = 0
+            for n in range(cuts.bounds[c], cuts.bounds[c + 1] if cuts.extended[c] else cuts.bounds[c]):
+                e = cuts.edge[cuts.order[n]]
+                if graph.edge_face_start[e + 1] - graph.edge_face_start[e] == 1:
+                    extended = _reach_border(cuts.face[cuts.order[n]], graph, cut, c, seen, way, came, extra)
+            for n in range(extended):
+                cut[extra[n]] = True
+            seeds = 0
+            tail = 0
+            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
+                h = cuts.order[n]
+                if (side != 0.0 and cuts.side[h] != side) or not cut[cuts.edge[h]]:
+                    continue
+                for end in range(2):
+                    v = graph.edges[cuts.edge[h], end]
+                    if label[v] == -1:
+                        label[v] = seeds
+                        parent[seeds] = seeds
+                        growing[seeds] = 1
+                        area[seeds] = graph.areas[v]
+                        queue[tail] = v
+                        tail += 1
+                        seeds += 1
+            before = regions
+            head = 0
+            alive = seeds
+            whole = False
+            while True:
+                while head < tail and (alive > 1 or whole):
+                    v = queue[head]
+                    head += 1
+                    root = _root(parent, label[v])
+                    for k in range(graph.start[v], graph.start[v + 1]):
+                        if cut[graph.neighbour_edges[k]]:
+                            continue
+                        other = graph.neighbours[k]
+                        if label[other] == -2:
+                            continue
+                        if label[other] == -1:
+                            label[other] = root
+                            area[root] += graph.areas[other]
+                            growing[root] += 1
+                            queue[tail] = other
+                            tail += 1
+                            continue
+                        met = _root(parent, label[other])
+                        if met != root:
+                            parent[met] = root
+                            area[root] += area[met]
+                            growing[root] += growing[met]
+                            alive -= 1
+                    growing[root] -= 1
+                    if growing[root] == 0:
+                        alive -= 1
+                if whole or seeds == 0:
+                    break
+                # the one that still grows has what the others leave
+                unfinished = -1
+                closed = 0.0
+                for r in range(seeds):
+                    if parent[r] == r:
+                        number[r] = -1
+                        sizes[r] = 0
+                        if growing[r] > 0:
+                            unfinished = r
+                        else:
+                            closed += area[r]
+                if unfinished >= 0:
+                    total = graph.component_areas[graph.component[queue[0]]]
+                    area[unfinished] = max(total - closed, 0.0)
+                for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
+                    h = cuts.order[n]
+                    e = cuts.edge[h]
+                    if (side != 0.0 and cuts.side[h] != side) or not cut[e]:
+                        continue
+                    if label[graph.edges[e, 0]] < 0 or label[graph.edges[e, 1]] < 0:
+                        continue
+                    first = _root(parent, label[graph.edges[e, 0]])
+                    second = _root(parent, label[graph.edges[e, 1]])
+                    if first == second:
+                        continue
+                    found.inside_end[h] = 0 if area[first] < area[second] else 1
+                    inside = first if area[first] < area[second] else second
+                    if number[inside] < 0:
+                        number[inside] = regions
+                        root_of[regions] = inside
+                        found.contour[regions] = c
+                        found.side[regions] = side
+                        found.area[regions] = area[inside]
+                        found.share[regions] = area[inside] / graph.component_areas[graph.component[queue[0]]]
+                        regions += 1
+                    found.region[h] = number[inside]
+                if unfinished < 0 or number[unfinished] < 0:
+                    break
+                whole = True  # what still grows is the inside after all: its vertices are wanted
+            for n in range(tail):
+                root = _root(parent, label[queue[n]])
+                if number[root] >= 0:
+                    sizes[root] += 1
+            for region in range(before, regions):
+                r = root_of[region]
+                found.start[region] = used
+                used += sizes[r]
+                found.start[region + 1] = used
+                sizes[r] = found.start[region]
+            for n in range(tail):
+                root = _root(parent, label[queue[n]])
+                if number[root] >= 0:
+                    if sizes[root] < members.shape[0]:
+                        members[sizes[root]] = queue[n]
+                    sizes[root] += 1
+            for n in range(tail):
+                label[queue[n]] = -1
+            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
+                cut[cuts.edge[cuts.order[n]]] = False
+            for n in range(extended):
+                cut[extra[n]] = False
+        for w in range(cuts.wall_start[c], cuts.wall_start[c + 1]):
+            label[cuts.walls[w]] = -1
+    return regions, used
+
+
+@device
+def _turn(p, q, r, u, w):
+    """Twice the area of the triangle p, q, r in the coordinates u, w."""
+    return (q[u] - p[u]) * (r[w] - p[w]) - (q[w] - p[w]) * (r[u] - p[u])
+
+
+@kernel
+def count_crossings(x, faces, face_start, segments_of_face, segments, first_hit, second_hit, contour, crossings):
+    """Adds to crossings (C,) the points of faces where segments of contours cross, each once for every contour there.
+
+    Segments (S, 2, 3) of each face follow each other in segments_of_face, from face_start (F + 1,) on; those that join at a
+    hit or a loop vertex do not cross.
+    """
+    for f in range(face_start.shape[0] - 1):
+        if face_start[f + 1] - face_start[f] < 2:
+            continue
+        nx, ny, nz, _ = triangle_normal(x, faces[f, 0], faces[f, 1], faces[f, 2])
+        u, w = 0, 1
+        if abs(nx) >= abs(ny) and abs(nx) >= abs(nz):
+            u, w = 1, 2
+        elif abs(ny) >= abs(nz):
+            u, w = 0, 2
+        for m in range(face_start[f], face_start[f + 1]):
+            a = segments_of_face[m]
+            for n in range(m + 1, face_start[f + 1]):
+                b = segments_of_face[n]
+                if first_hit[a] == first_hit[b] or first_hit[a] == second_hit[b]:
+                    continue
+                if second_hit[a] >= 0 and (second_hit[a] == second_hit[b] or second_hit[a] == first_hit[b]):
+                    continue
+                p, q, r, s = segments[a, 0], segments[a, 1], segments[b, 0], segments[b, 1]
+                if (
+                    _turn(p, q, r, u, w) * _turn(p, q, s, u, w) < 0.0
+                    and _turn(r, s, p, u, w) * _turn(r, s, q, u, w) < 0.0
+                ):
+                    crossings[contour[a]] += 1
+                    if contour[b] != contour[a]:
+                        crossings[contour[b]] += 1

@@ -104,6 +104,29 @@ def crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Scene:
     return draw_crumple(resolution, amount, seed).scene
 
 
+def draw_corner(depth: float = 3.0, resolution: int = 16, seed: int = 0) -> Tangle:
+    """See `fold_corner`."""
+    rng = np.random.default_rng([seed, 17])
+    edge = SIDE / resolution
+    sheet, flap, along, out = canonical.folded(resolution, edge)
+    begins = along.max() - (max(depth, 2.0) + rng.uniform(0.3, 0.7)) * edge
+    slope = depth * edge / out[flap].max()
+    t = (along - begins) / (2.0 * edge)
+    height = out * np.where(t > 0.0, -slope * np.minimum(t, 1.0), 0.5 * np.minimum(-t, 1.0))
+    placed, beside = canonical.fold(sheet, flap, height, out)
+    mesh, free = placed[0]
+    turn = random_rotation(rng).T
+    noise = 0.005 * edge * rng.uniform(-1.0, 1.0, free.shape)
+    start = (mesh.vertices + noise) @ turn
+    return tangle([_cloth(start, mesh, edge, "sheet")], (free + noise) @ turn, edge, beside, "fold_corner")
+
+
+def fold_corner(depth: float = 3.0, resolution: int = 16, seed: int = 0) -> Scene:
+    """A sheet folded over, whose shorter flap goes through the longer one at a corner: a straight contour from the crease to
+    the far border, on the one side of which everything is wrong."""
+    return draw_corner(depth, resolution, seed).scene
+
+
 def draw_folds(layers: int = 4, depth: float = 2.0, resolution: int = 12, seed: int = 0) -> Tangle:
     """See `folds`."""
     rng = np.random.default_rng([seed, 14])
@@ -221,6 +244,7 @@ MAKERS = {
     "strip_through_sheet": strip_through_sheet,
     "waist": waist,
     "crumple": crumple,
+    "fold_corner": fold_corner,
     "folds": folds,
     "figure_two": figure_two,
     "garment_layers": garment_layers,
@@ -230,6 +254,7 @@ DRAWN = {
     "strip_through_sheet": draw_strip,
     "waist": draw_waist,
     "crumple": draw_crumple,
+    "fold_corner": draw_corner,
     "folds": draw_folds,
     "figure_two": draw_row,
     "garment_layers": draw_garment,
@@ -248,6 +273,11 @@ PARAMETERS = {
     "crumple": {
         "resolution": _RESOLUTION,
         "amount": ("edges", 0.0, 10.0, "how far vertices are displaced"),
+        "seed": _SEED,
+    },
+    "fold_corner": {
+        "depth": ("edges", 0.1, 6.0, "how far the corner reaches through"),
+        "resolution": _RESOLUTION,
         "seed": _SEED,
     },
     "folds": {

@@ -224,7 +224,9 @@ class Scene:
         object.__setattr__(self, "self_collision", check_flag(self.self_collision, "scene.self_collision"))
         for cloth in self.cloths:
             if cloth.motion is not None and not self.self_collision:
-                raise ValueError(f"cloth {cloth.name!r}: motion: needs scene.self_collision, without it nothing touches it")
+                raise ValueError(
+                    f"cloth {cloth.name!r}: motion: needs scene.self_collision, without it nothing touches it"
+                )
         object.__setattr__(self, "name", check_text(self.name, "scene.name"))
 
     @cached_property

@@ -53,7 +53,9 @@ def bench(
             raise ValueError(f"--out = {str(out)!r}: not a folder")
         options = {"quick": quick, "jobs": jobs, "backend": backend, "resume": resume}
         if strategy and names != ["untangling"]:
-            raise ValueError(f"--strategy = {', '.join(strategy)}: works with untangling alone, not with {', '.join(names)}")
+            raise ValueError(
+                f"--strategy = {', '.join(strategy)}: works with untangling alone, not with {', '.join(names)}"
+            )
         if names == ["all"]:
             _run_all(out, options, as_json)
         else:

@@ -10,14 +10,15 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import FloatArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
 from clothgym.motion import rotation
 from clothgym.scene import Cloth, Scene
 from clothgym.scenes.crossing import random_rotation
-from clothgym.scenes.tangle import Tangle, shifted, tangle
+from clothgym.scenes.tangle import Beside, Tangle, shifted, tangle
 
 SIDE = 0.4
 """Side of the large sheets [m]; they have `resolution` edges a side."""
@@ -28,7 +29,7 @@ _UNEVEN = 0.02
 _UNEVEN_FOLD = 0.005
 """The same for folds, whose layers come as near to each other as one likes."""
 
-Placed = tuple[list[tuple[Mesh, FloatArray]], list[tuple[IntArray, IntArray]]]
+Placed = tuple[list[tuple[Mesh, FloatArray]], list[Beside]]
 """Meshes as they start with their clean vertices, and what belongs beside what (see `tangle`)."""
 
 
@@ -68,9 +69,9 @@ def draw(kind: str, depth: float, resolution: int, seed: int, uneven: bool = Tru
 
 def canonical(kind: str = "BBII", depth: float = 2.0, resolution: int = 16, seed: int = 0) -> Scene:
     """One of seven canonical intersections, in free space without gravity. BBII: a ribbon's end through a sheet; BIBI: two
-    sheets that cross each other half; Closed: a dent; BLI: a fold whose flaps cross at its tip, beside a border; LL: a crease that is
-    folded through itself; Cross: a sheet and two strips that all cross each other, so that their contours meet; Eight: a
-    band twisted through itself, whose sides cannot be told apart. The shape at the start is the one without strain."""
+    sheets that cross each other half; Closed: a dent; BLI: a fold whose flaps cross at its tip, beside a border; LL: a crease
+    that is folded through itself; Cross: a sheet and two strips that all cross each other, so that their contours meet;
+    Eight: a band twisted through itself, whose sides cannot be told apart. The shape at the start has no strain."""
     return draw(kind, depth, resolution, seed).scene
 
 
@@ -139,7 +140,7 @@ def _cross(depth: float, resolution: int, edge: float, rng: np.random.Generator)
     free_second = second.vertices + np.array([0.0, (depth + _ROOM) * edge + lean, 0.0])
     counts = np.cumsum([0, len(level.vertices), len(first.vertices), len(second.vertices)])
     ids = [np.arange(counts[k], counts[k + 1]) for k in range(3)]
-    beside = [
+    beside: list[Beside] = [
         (ids[1], level.faces),
         (ids[2], level.faces),
         (ids[1], shifted(second, int(counts[2]))),
@@ -171,7 +172,7 @@ def _through(depth: float, resolution: int, edge: float, centre: float, rng: np.
     return fold(sheet, flap, out * np.where(way < 0.0, slope * way, 0.5 * np.minimum(way, 1.0)), out)
 
 
-def folded(resolution: int, edge: float) -> tuple[Mesh, IntArray, FloatArray, FloatArray]:
+def folded(resolution: int, edge: float) -> tuple[Mesh, NDArray[np.integer], FloatArray, FloatArray]:
     """A sheet, the vertices of its shorter flap, and where all lie along the crease and out from it [m]."""
     sheet = grid(SIDE, SIDE, resolution, resolution)
     crease = resolution // 2 - 1
@@ -181,7 +182,7 @@ def folded(resolution: int, edge: float) -> tuple[Mesh, IntArray, FloatArray, Fl
     return sheet, np.flatnonzero(row < crease), sheet.vertices[:, 0].copy(), out
 
 
-def fold(sheet: Mesh, flap: IntArray, height: FloatArray, out: FloatArray) -> Placed:
+def fold(sheet: Mesh, flap: NDArray[np.integer], height: FloatArray, out: FloatArray) -> Placed:
     """The sheet with its flap at a height above the other one; in the clean state at half of the distance from the crease."""
     on_flap = np.zeros(len(out), np.bool_)
     on_flap[flap] = True
@@ -225,7 +226,7 @@ def _eight(depth: float, resolution: int, edge: float, rng: np.random.Generator)
 # Parts
 
 
-def _both_ways(first: Mesh, second: Mesh) -> list[tuple[IntArray, IntArray]]:
+def _both_ways(first: Mesh, second: Mesh) -> list[Beside]:
     """Each of two meshes beside the other."""
     count = len(first.vertices)
     ids = np.arange(count), np.arange(count, count + len(second.vertices))

@@ -29,14 +29,14 @@ def faulty_detection(ignored: float = 0.5, cells: int = 24, layers: int = 2, see
         flat = grid(_SIDE, _SIDE, cells, cells)
         angle = rng.uniform(-0.3, 0.3)
         c, s = math.cos(angle), math.sin(angle)
-        place = np.array([rng.uniform(-0.03, 0.03), 2.0 * _RADIUS + 0.05 + 0.6 * edge * layer, rng.uniform(-0.03, 0.03)])
+        place = np.array(
+            [rng.uniform(-0.03, 0.03), 2.0 * _RADIUS + 0.05 + 0.6 * edge * layer, rng.uniform(-0.03, 0.03)]
+        )
         placed = flat.transformed([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]], place)
         placed.vertices[:, 1] += 0.05 * edge * rng.uniform(-1.0, 1.0, len(placed.vertices))
         cloths.append(Cloth(placed, material, (), flat.vertices, f"layer {layer}"))
     ball = Body(_ball(_RADIUS, np.array([0.0, _RADIUS, 0.0])), "ball", friction=0.3)
-    return Scene(
-        tuple(cloths), (ball,), ground=0.0, step=0.01, duration=1.2, ignored=ignored, name="faulty_detection"
-    )
+    return Scene(tuple(cloths), (ball,), ground=0.0, step=0.01, duration=1.2, ignored=ignored, name="faulty_detection")
 
 
 def _ball(radius: float, centre: FloatArray, rounds: int = 24) -> Mesh:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -196,7 +198,11 @@ def draw_garment(layers: int = 2, resolution: int = 16, push: float = 2.0, seed:
     edge = SIDE / resolution
     around = 2 * resolution
     radius = around * edge / (2.0 * math.pi)
-    cloths, clean, ids, faces, count = [], [], [], [], 0
+    cloths: list[Cloth] = []
+    clean: list[FloatArray] = []
+    ids: list[Any] = []
+    faces: list[Any] = []
+    count = 0
     for k in range(layers):
         rows = resolution - 2 * k  # outer layers are shorter, as a shirt over a skirt
         own = radius + 1.2 * edge * k
@@ -233,7 +239,7 @@ def tube_faces(around: int, rows: int) -> np.ndarray:
     return np.concatenate(faces).astype(np.int32)
 
 
-def _ring(radius: FloatArray | float, turn: FloatArray, height: FloatArray) -> FloatArray:
+def _ring(radius: Any, turn: FloatArray, height: Any) -> FloatArray:
     """(rows * around, 3) rings at some heights."""
     r = np.broadcast_to(radius, (len(height), len(turn)))
     y = np.broadcast_to(height[:, None], r.shape)
@@ -249,7 +255,7 @@ MAKERS = {
     "figure_two": figure_two,
     "garment_layers": garment_layers,
 }
-DRAWN = {
+DRAWN: dict[str, Callable[..., Tangle]] = {
     "canonical": canonical.draw,
     "strip_through_sheet": draw_strip,
     "waist": draw_waist,

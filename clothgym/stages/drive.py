@@ -17,9 +17,12 @@ class Drive:
 
     def __init__(self, model: ClothModel) -> None:
         scene = model.scene
-        parts = [(cloth, vertices) for cloth, (_, vertices, _) in zip(scene.cloths, model.ranges) if cloth.motion]
-        self.driven = [(c.motion, np.array(c.pins, np.int64) + v.start) for c, v in parts]
-        self.name = f"drive [{', '.join(cloth.name for cloth, _ in parts)}]"
+        self.driven = [
+            (cloth.motion, np.array(cloth.pins, np.int64) + vertices.start)
+            for cloth, (_, vertices, _) in zip(scene.cloths, model.ranges)
+            if cloth.motion is not None
+        ]
+        self.name = f"drive [{', '.join(cloth.name for cloth in scene.cloths if cloth.motion is not None)}]"
         self.start, self.step = scene.start, scene.step
         self.ids = np.concatenate([ids for _, ids in self.driven])
         self.velocities: FloatArray = np.zeros((len(self.ids), 3))

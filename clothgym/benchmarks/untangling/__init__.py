@@ -65,7 +65,12 @@ def _squares(quick: bool, compared: Sequence[str]) -> list[Case]:
             # what stays tangled shows all there is to see in the first second
             steps = 40 if quick else (330 if lasting else 100)
             alone = 300 if not quick and lasting and seed < 3 else 0
-            parameters = {"part": "squares", "scene": "squares", "settings": settings, "strategy": strategy}
+            parameters: dict[str, Any] = {
+                "part": "squares",
+                "scene": "squares",
+                "settings": settings,
+                "strategy": strategy,
+            }
             parameters |= {"seed": seed, "steps": steps, "control": alone}
             listed.append(Case(f"squares/{strategy}/seed{seed}", parameters))
     for seed in range(1 if quick else 3):
@@ -84,10 +89,10 @@ def _canonical(quick: bool, compared: Sequence[str]) -> list[Case]:
     listed = []
     for kind in KINDS:
         for depth in (1.0, 3.0) if quick else _DEPTHS:
-            settings = {"kind": kind, "depth": depth, "resolution": instances.resolution_for(depth)}
+            settings: dict[str, Any] = {"kind": kind, "depth": depth, "resolution": instances.resolution_for(depth)}
             for strategy in compared:
                 count = 4 if quick else (8 if depth > 5.0 else 20)
-                later = {} if quick or depth != 3.0 else {"later": 300, "followed": 2}
+                later: dict[str, Any] = {} if quick or depth != 3.0 else {"later": 300, "followed": 2}
                 listed.append(
                     _instances("canonical", f"{kind}/{depth:g}", "canonical", settings, strategy, count=count, **later)
                 )
@@ -121,18 +126,19 @@ def _settings(quick: bool) -> list[Case]:
                 key, fields = f"{kind}/h0={h0:g},v={share:g}", {"h0": h0, "velocity_share": share}
                 count = 2 if quick else 10
                 listed.append(_instances("map", key, "canonical", settings, strategy, fields=fields, count=count))
-    ways = {
+    ways: dict[str, dict[str, Any]] = {
         "a pass a step, with velocity": {},
         "a pass a step, positions only": {"velocity_share": 0.0},
         "3 passes a step, positions only": {"untangling_passes": 3, "velocity_share": 0.0},
         "60 passes at once": {"untangling_passes": 60, "velocity_share": 0.0},
     }
-    for tangle, settings in (
+    tangles: tuple[tuple[str, dict[str, Any]], ...] = (
         ("canonical", {"kind": "BIBI", "depth": 3.0, "resolution": 16}),
         ("canonical", {"kind": "BBII", "depth": 3.0, "resolution": 16}),
         ("canonical", {"kind": "Closed", "depth": 3.0, "resolution": 16}),
         ("garment_layers", {"layers": 2}),
-    ):
+    )
+    for tangle, settings in tangles:
         for strategy in ("global", "hybrid"):
             for way, fields in ways.items():
                 key = f"{settings.get('kind', tangle)}/{way}"
@@ -144,7 +150,9 @@ def _settings(quick: bool) -> list[Case]:
 def _others(quick: bool, compared: Sequence[str]) -> list[Case]:
     listed = []
     for tangle, settings in _OTHERS:
-        key = "/".join([tangle, *(f"{value:g}" if not isinstance(value, str) else value for value in settings.values())])
+        key = "/".join(
+            [tangle, *(f"{value:g}" if not isinstance(value, str) else value for value in settings.values())]
+        )
         for strategy in compared if not quick else [s for s in compared if s in ("local", "global", "hybrid")]:
             listed.append(_instances("others", key, tangle, settings, strategy, count=1 if quick else 5))
         parameters = {"part": "null", "tangle": tangle, "settings": settings, "seed": 0}

@@ -25,7 +25,7 @@ def run(parameters: dict[str, Any]) -> dict[str, Any]:
     work = simulation.metrics()["work"]
     tangled = [step for step, count in enumerate(histories.hits) if count > 0]
     return {
-        "triangles": int(len(scene.cloths[0].mesh.faces)),
+        "triangles": len(scene.cloths[0].mesh.faces),
         "substeps": simulation.pipeline.substeps,
         "sweeps": simulation.pipeline.stages[-1].step.sweeps,  # type: ignore[attr-defined]
         "time": simulation.time,

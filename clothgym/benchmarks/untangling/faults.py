@@ -1,4 +1,4 @@
-"""Half of all contacts and intersections ignored [Volino 2006, 3.1.2 and Fig. 7]: what is true, not what is seen, is measured."""
+"""Half of all contacts and intersections ignored [Volino 2006, 3.1.2 and Fig. 7]; what is measured misses nothing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ class Lives:
         bounds = np.cumsum(np.r_[0, np.bincount(hits.hit_contour, minlength=hits.contour_count)])
         for c in range(hits.contour_count):
             own = order[bounds[c] : bounds[c + 1]]
-            near = np.concatenate([surface.edges[hits.hit_edge[own]].ravel(), surface.faces[hits.hit_face[own]].ravel()])
+            near = np.concatenate(
+                [surface.edges[hits.hit_edge[own]].ravel(), surface.faces[hits.hit_face[own]].ravel()]
+            )
             vertices = set(near.tolist())
             pieces = tuple(np.unique(surface.components[near]).tolist())
             before = [n for n, (p, v, _) in enumerate(self.alive) if p == pieces and not v.isdisjoint(vertices)]

@@ -19,6 +19,15 @@ from clothgym.scenes.canonical import KINDS
 from clothgym.scenes.hard import DRAWN
 
 _WIDTH, _HEIGHT = 300, 280
+_SHOWN: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("figure_two", {"row": "middle"}),
+    ("garment_layers", {"layers": 3}),
+    ("folds", {}),
+    ("waist", {}),
+    ("strip_through_sheet", {}),
+    ("crumple", {}),
+)
+"""Tangles that are not canonical, drawn before and after."""
 
 
 def plots(rows: list[Row], folder: Path) -> list[Path]:
@@ -153,9 +162,7 @@ def _kinds() -> Image:
 
 
 def _hard() -> Image:
-    names = (("figure_two", {"row": "middle"}), ("garment_layers", {"layers": 3}), ("folds", {}), ("waist", {}),
-             ("strip_through_sheet", {}), ("crumple", {}))  # fmt: skip
-    return _pairs([(name, settings, "hybrid") for name, settings in names])
+    return _pairs([(name, settings, "hybrid") for name, settings in _SHOWN])
 
 
 def _fault_pictures() -> Image:
@@ -176,7 +183,7 @@ def _dish_pictures() -> Image:
     """A short ribbon in its dish."""
     simulation = cg.Simulation(cg.scenes.make("ribbon", length=6.0), cg.Fidelity(untangling="local", substeps=2))
     rim = simulation.positions[simulation.cloth_ranges[1][1]]
-    camera = Camera.framing(np.concatenate([rim, rim + [0.0, 0.1, 0.0]]), direction=(0.5, 0.7, 1.0))
+    camera = Camera.framing(np.concatenate([rim, rim + np.array([0.0, 0.1, 0.0])]), direction=(0.5, 0.7, 1.0))
     images, labels = [], []
     for step in range(1, 151):
         simulation.step()

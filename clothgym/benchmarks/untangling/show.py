@@ -37,7 +37,10 @@ def plots(rows: list[Row], folder: Path) -> list[Path]:
 
 def summary(results: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """What all instances of some rows were worth together: shares, passes, and medians."""
-    of = {key: [value for result in results for value in result[key]] for key in next(iter(results := list(results)))}
+    of: dict[str, list[Any]] = {}
+    for result in results:
+        for key, values in result.items():
+            of.setdefault(key, []).extend(values)
     count = len(of["passes"])
     reasons = Counter(of["reason"])
     return {
@@ -102,9 +105,7 @@ def _many(rows: list[Row]) -> Table:
 
 
 def _canonical(rows: list[Row]) -> Table:
-    return _table(
-        "Canonical kinds, by depth [edges] and strategy", rows, ("kind", "depth", "resolution", "strategy")
-    )
+    return _table("Canonical kinds, by depth [edges] and strategy", rows, ("kind", "depth", "resolution", "strategy"))
 
 
 def _resolution(rows: list[Row]) -> Table:
@@ -139,8 +140,8 @@ def _progress(rows: list[Row]) -> Table:
     )
     note = (
         'Paper, 3.2: "much more efficient to resolve intersections progressively along the simulation (with a very limited '
-        'number of resolution iterations between each mechanical iteration) than attempting to completely correct all '
-        'intersections before next simulation step". At once: 60 passes before the first mechanical step, and again in the next.'
+        "number of resolution iterations between each mechanical iteration) than attempting to completely correct all "
+        'intersections before next simulation step". At once: 60 passes before the first mechanical step.'
     )
     return Table("Progressively along the simulation, or at once", columns, cells, note)
 
@@ -167,8 +168,8 @@ def _null(rows: list[Row]) -> Table:
         cells.append((name, kinds, found["hits"], coherence[0], coherence[-1], found["silent"]))
     columns = ("tangle", "contours", "hits", "|sum sG| / sum |G|, least", "most", "hits with |G| < 0.05")
     note = (
-        "How much of the gradients is left when they are added along a contour: 1 = all point one way, 0 = the global scheme has "
-        "no direction at all. Hits with next to no gradient of their own do nothing in the local scheme."
+        "How much of the gradients is left when they are added along a contour: 1 = all point one way, 0 = the global scheme "
+        "has no direction at all. Hits with next to no gradient of their own do nothing in the local scheme."
     )
     return Table("What the gradients say at the start", columns, cells, note)
 
@@ -237,7 +238,7 @@ def _overhead(rows: list[Row]) -> Table:
         *("contours and gradients, share", "with tests", "with candidates"),
     )
     note = (
-        "Of one pass, least of the repeats, process time; the step makes one pass. Candidates: boxes of the positions alone and "
-        "their pairs of edges and faces; a step looks for contact in boxes of its own, which hold many times as much."
+        "Of one pass, least of the repeats, process time; the step makes one pass. Candidates: boxes of the positions alone "
+        "and their pairs of edges and faces; a step looks for contact in boxes of its own, which hold many times as much."
     )
     return Table("Cost of a pass beside a step", columns, cells, note)

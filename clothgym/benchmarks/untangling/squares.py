@@ -50,7 +50,7 @@ def run(parameters: dict[str, Any]) -> dict[str, Any]:
 
     histories.play(parameters["steps"], look)
     share, measured = untangling_share(simulation), simulation.metrics()
-    history = {"hits": histories.hits, "contours": histories.contours, "length": histories.length}
+    history: dict[str, list[Any]] = {"hits": histories.hits, "contours": histories.contours, "length": histories.length}
     alone = None
     if first_clean and parameters["control"]:
         alone = control(simulation, first_clean[0], parameters["control"])

@@ -22,7 +22,7 @@ CONES = ("none", "mezger", "exact")
 BUILD_SPACES = ("pose", "pattern")
 BODY_RESPONSES = ("coulomb", "velocity")
 BODY_NORMALS = ("face", "interpolated")
-CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield")
+CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield", "limited")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
 PRECISIONS = ("float64", "float32")
@@ -140,7 +140,8 @@ class Fidelity:
         speed_limit: corrections speed up no vertex beyond this [m/s].
         contacts_near_hits: beside an intersection, contact locks the wrong side: "keep" it all the same, "off_any" = leave
             out pairs with a vertex there, "off_both" = leave out pairs with vertices there on both sides, "yield" = such a
-            contact gives way above yield_force: weight does not pull layers through each other, a hand does.
+            contact gives way above yield_force: weight does not pull layers through each other, a hand does; "limited" = it
+            keeps the distance that there is, without regaining the thickness.
         yield_force: [N] a contact, for "yield".
         rings: how many edges around a hit count as beside it.
         map_size: texels of the body's maps along its longer side; finer maps follow the body more closely.

@@ -181,7 +181,7 @@ def _contact() -> None:
         _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()
     crossing = cg.Scene(cloths=[cg.Cloth((vertices, faces))], ground=float(vertices[:, 1].min()) - 0.01)
-    for near_hits in ("keep", "off_any", "off_both"):
+    for near_hits in ("keep", "off_any", "off_both", "limited"):
         _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     _steps(crossing, euler, 1)

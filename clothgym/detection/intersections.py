@@ -29,10 +29,13 @@ _FOUND = ("vertices", "surface", "skipped_faces", "edge_triangle_tests", "exact_
 """What does not depend on which hits are kept."""
 
 _JOINED = {
-    *("first_hit", "second_hit", "pair_faces", "hits_per_pair", "loop_vertex", "segments", "segment_lengths"),
+    *("first_hit", "second_hit", "pair_faces", "hits_per_pair", "loop_vertex"),
     *("contour", "contour_count", "contour_consistent", "hit_contour", "hit_side"),
 }
-"""The same, from the places."""
+"""The same, from the hits."""
+
+_DRAWN = {"segments", "segment_lengths"}
+"""The same, from both."""
 
 
 class Intersections:
@@ -96,6 +99,8 @@ class Intersections:
             self._place()
         elif name in _JOINED:
             self._join()
+        elif name in _DRAWN:
+            self._draw()
         else:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return self.__dict__[name]
@@ -112,7 +117,7 @@ class Intersections:
         self.points = np.ldexp(self.points, -self._power)
 
     def _join(self) -> None:
-        """Pairs, segments and contours from the hits."""
+        """Pairs of faces and contours from the hits."""
         s, found = self.surface.arrays, self.hit_count
         per_hit = np.diff(s.edge_face_start)[self.hit_edge]
         ends = int(per_hit.sum())
@@ -121,16 +126,14 @@ class Intersections:
         contour_kernels.segment_ends(
             self.hit_edge, self.hit_face, s.edge_face_start, s.edge_face_ids, face_count, keys, owners
         )
+        first, second, loop = (np.empty(ends, np.int64) for _ in range(3))
+        pair_faces, per_pair = np.empty((ends, 2), np.int32), np.empty(ends, np.int64)
         order = np.argsort(keys, kind="stable")
-        keys, owners = keys[order], owners[order]
-        starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]]) if ends else np.zeros(0, np.int64)
-        sizes = np.diff(np.r_[starts, ends])
-        self.first_hit: NDArray[np.int64] = owners[starts]
-        self.second_hit: NDArray[np.int64] = np.full(len(starts), -1, np.int64)
-        two = sizes >= 2
-        self.second_hit[two] = owners[starts[two] + 1]
-        self.pair_faces = np.stack([keys[starts] // face_count, keys[starts] % face_count], 1).astype(np.int32)
-        self.hits_per_pair = sizes
+        pairs = contour_kernels.match_hits(order, keys, owners, s.faces, first, second, pair_faces, per_pair, loop)
+        self.first_hit: NDArray[np.int64] = first[:pairs]
+        self.second_hit: NDArray[np.int64] = second[:pairs]
+        self.loop_vertex: NDArray[np.int64] = loop[:pairs]
+        self.pair_faces, self.hits_per_pair = pair_faces[:pairs], per_pair[:pairs]
         hit_contour, side = np.empty(found, np.int64), np.empty(found, np.int64)
         consistent = np.ones(found, np.bool_)
         count = contour_kernels.join_contours(
@@ -141,15 +144,11 @@ class Intersections:
         self.hit_side = 1.0 - 2.0 * side
         self.contour_consistent = consistent[:count]
         self.contour = hit_contour[self.first_hit] if len(self.first_hit) else np.zeros(0, np.int64)
-        # the end of a one-hit segment is the vertex that both faces share
-        self.loop_vertex: NDArray[np.int64] = np.full(len(starts), -1, np.int64)
-        single = np.flatnonzero(~two)
-        if len(single):
-            a, b = s.faces[self.pair_faces[single, 0]], s.faces[self.pair_faces[single, 1]]
-            shared = (a[:, :, None] == b[:, None, :]).any(axis=2)
-            one = shared.sum(axis=1) == 1
-            self.loop_vertex[single[one]] = a[one][shared[one]]
-        second = np.where(two, self.second_hit, self.first_hit)
+
+    def _draw(self) -> None:
+        """Where the segments lie."""
+        found = self.hit_count
+        second = np.where(self.second_hit >= 0, self.second_hit, self.first_hit)
         finish = self.points[second] if found else np.zeros((0, 3))
         loops = self.loop_vertex >= 0
         finish[loops] = self.vertices[self.loop_vertex[loops]]

@@ -73,10 +73,11 @@ def _left_apart(apart, quads, n, kind, both):
 
 
 @kernel
-def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, separation, contacts):
+def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, limited, separation, contacts):
     """Closest points at the start of a substep: separation (C, 4) = normal and distance, -1 where nothing is certified.
 
-    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise.
+    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise;
+    or, if `limited`, keep the distance that they have where it is less than the thickness.
     Pairs that would be nearer than 1.25 thicknesses at the predicted positions p become active contacts. Returns how
     many are active; as many as fit are written to `contacts`.
     """
@@ -85,7 +86,7 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, separ
     for n in range(count):
         separation[n, 3] = -1.0
         beside = _left_apart(apart, quads, n, kinds[n], both)
-        if beside and yield_force == 0.0:
+        if beside and yield_force == 0.0 and not limited:
             continue
         w0, w1, w2, w3 = _weights(x, quads, n, kinds[n])
         nx = _combine(x, quads, n, w0, w1, w2, w3, 0)
@@ -118,8 +119,8 @@ def narrow(x, p, quads, kinds, count, thickness, apart, both, yield_force, separ
             contacts.normals[active, 0] = nx
             contacts.normals[active, 1] = ny
             contacts.normals[active, 2] = nz
-            contacts.rest[active] = h
-            contacts.limit[active] = yield_force if beside else math.inf
+            contacts.rest[active] = min(h, distance) if beside and limited else h
+            contacts.limit[active] = yield_force if beside and not limited else math.inf
             contacts.approach[active] = predicted - distance
             contacts.pressed[active] = 0.0
             contacts.dragged[active, 0] = 0.0

@@ -173,6 +173,42 @@ def segment_ends(hit_edge, hit_face, edge_face_start, edge_face_ids, face_count,
     return n
 
 
+@kernel
+def match_hits(order, keys, owners, faces, first, second, pair_faces, hits_per_pair, loop_vertex):
+    """Pairs of faces from the ends of `segment_ends` in the `order` (N,) of their keys; returns how many.
+
+    Writes the two hits of each pair, -1 where there is one only, its faces (S, 2), how many hits it has, and, where that is one,
+    the vertex that its faces share, at which the segment ends; -1 where they share none, or more than one.
+    """
+    pairs = 0
+    for n in range(order.shape[0]):
+        key = keys[order[n]]
+        if n > 0 and key == keys[order[n - 1]]:
+            hits_per_pair[pairs - 1] += 1
+            if hits_per_pair[pairs - 1] == 2:
+                second[pairs - 1] = owners[order[n]]
+            continue
+        first[pairs] = owners[order[n]]
+        second[pairs] = -1
+        pair_faces[pairs, 0] = key // faces.shape[0]
+        pair_faces[pairs, 1] = key % faces.shape[0]
+        hits_per_pair[pairs] = 1
+        loop_vertex[pairs] = -1
+        pairs += 1
+    for s in range(pairs):
+        if hits_per_pair[s] > 1:
+            continue
+        shared = 0
+        for i in range(3):
+            for j in range(3):
+                if faces[pair_faces[s, 0], i] == faces[pair_faces[s, 1], j]:
+                    loop_vertex[s] = faces[pair_faces[s, 0], i]
+                    shared += 1
+        if shared != 1:
+            loop_vertex[s] = -1
+    return pairs
+
+
 @device
 def _root(parent, parity, h):
     """Root of h and the parity of the path to it, with path compression."""

@@ -158,7 +158,14 @@ class ContactBuffers:
         )
 
     def narrow(
-        self, x: FloatArray, p: FloatArray, candidates: Candidates, apart: BoolArray, both: bool, yield_force: float
+        self,
+        x: FloatArray,
+        p: FloatArray,
+        candidates: Candidates,
+        apart: BoolArray,
+        both: bool,
+        yield_force: float,
+        limited: bool = False,
     ) -> None:
         """Closest points of all candidates at x, and which of them are active on the way to p."""
         while True:
@@ -172,6 +179,7 @@ class ContactBuffers:
                 apart,
                 both,
                 yield_force,
+                limited,
                 candidates.separation,
                 self.arrays,
             )

@@ -40,6 +40,7 @@ class ContactSubsteps:
         self.near = (
             fidelity.contacts_near_hits == "off_both",
             fidelity.yield_force if fidelity.contacts_near_hits == "yield" else 0.0,
+            fidelity.contacts_near_hits == "limited",
         )
         self.rounds = fidelity.repair_rounds
         in_sweeps = step.integrator.in_sweeps

@@ -95,14 +95,12 @@ def draw_crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Ta
     noise = 0.02 * edge * rng.uniform(-1.0, 1.0, shift.shape)
     turn = random_rotation(rng).T
     start = (flat.vertices + amount * edge * fade[:, None] * shift + noise) @ turn
-    return tangle(
-        [_cloth(start, flat, edge, "sheet", flat.vertices)], (flat.vertices + noise) @ turn, edge, [], "crumple"
-    )
+    return tangle([_cloth(start, flat, edge, "sheet")], (flat.vertices + noise) @ turn, edge, [], "crumple")
 
 
 def crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Scene:
-    """A sheet crumpled into itself, with contours that end in creases ("dead ends", [Volino 2006, 3.2]); flat without
-    strain."""
+    """A sheet crumpled into itself, with contours that end in creases ("dead ends", [Volino 2006, 3.2]). Like
+    that it has no strain: nothing pulls it flat."""
     return draw_crumple(resolution, amount, seed).scene
 
 

@@ -35,7 +35,8 @@ def draw_strip(resolution: int = 16, uneven: float = 0.0, seed: int = 0) -> Tang
     x = band.vertices
     # not in the middle of cells, and at a slant: nothing of it lies on an edge of the sheet
     upright = np.stack([x[:, 0], x[:, 2], np.zeros(len(x))], axis=1)
-    upright = upright @ canonical.rotation((0.3, 1.0, 0.1), 0.4).T + np.array([0.31, 0.17, 0.23]) * edge
+    place = np.array([rng.uniform(0.2, 0.4), 0.17, rng.uniform(0.2, 0.4)])
+    upright = upright @ canonical.rotation((0.3, 1.0, 0.1), rng.uniform(0.3, 0.5)).T + place * edge
     free = upright + np.array([0.0, 1.2 * resolution * edge, 0.0])
     noise = [uneven * edge * rng.uniform(-1.0, 1.0, part.shape) for part in (sheet.vertices, upright)]
     start = [sheet.vertices + noise[0], upright + noise[1]]

@@ -53,7 +53,10 @@ _RANGES = {
     "untangling_passes": (1, 1000, True),
     "h0": (1e-6, 100.0, False),
     "g0": (1e-9, 1e9, False),
+    "displacement_share": (0.0, 1.0, False),
     "velocity_share": (0.0, 1.0, False),
+    "acceleration_share": (0.0, 1.0, False),
+    "penalty_stiffness": (0.0, 1e9, False),
     "speed_limit": (1e-3, 1e3, False),
     "yield_force": (1e-9, 1e9, False),
     "rings": (0, 10, True),
@@ -132,11 +135,17 @@ class Fidelity:
         continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
             other as `tunnel_events`; nothing else changes. Took 8 % more for tangled squares, nothing measurable
             without intersections.
-        untangling: "none", "local", "global", "hybrid", or "package.module:Name" of a user's own strategy.
+        untangling: "none", a strategy of `clothgym.response.untangling.STRATEGIES`, or "package.module:Name" of your own.
+        untangle_bodies: intersections of cloth with the bodies' true surfaces are looked for and resolved too, by moving the
+            cloth; the bodies' maps know inside from outside and need no help where a body has a volume.
         untangling_passes: corrections a step.
         h0: largest correction of a pass, in mean edge lengths [Volino 2006, eq. 5].
         g0: gradient at which corrections saturate, dimensionless [Volino 2006, eq. 5].
+        displacement_share: share of a correction that moves vertices at once, 0 to 1; without any there is one pass a step.
         velocity_share: share of a correction that also goes into the velocity, 0 to 1.
+        acceleration_share: share of a correction that an acceleration adds by the end of the step, 0 to 1.
+        penalty_stiffness: [N/m] of a force along the correction for the step, on a vertex of mean mass; on others in
+            proportion to theirs.
         speed_limit: corrections speed up no vertex beyond this [m/s].
         contacts_near_hits: beside an intersection, contact locks the wrong side: "keep" it all the same, "off_any" = leave
             out pairs with a vertex there, "off_both" = leave out pairs with vertices there on both sides, "yield" = such a
@@ -184,10 +193,14 @@ class Fidelity:
     repair_rounds: int = 8
     continuous: bool = False
     untangling: str = "hybrid"
+    untangle_bodies: bool = False
     untangling_passes: int = 3
     h0: float = 1.0
     g0: float = 1.0
+    displacement_share: float = 1.0
     velocity_share: float = 1.0
+    acceleration_share: float = 0.0
+    penalty_stiffness: float = 0.0
     speed_limit: float = 2.0
     contacts_near_hits: str = "off_any"
     yield_force: float = 0.02
@@ -219,7 +232,7 @@ class Fidelity:
             if not isinstance(value, int | float | np.number) or isinstance(value, bool) or value not in choices:
                 raise ValueError(f"fidelity.{field} = {shown(value)}: expected one of {', '.join(map(str, choices))}")
             object.__setattr__(self, field, int(getattr(self, field)))
-        for field in ("flat_check", "continuous"):
+        for field in ("flat_check", "continuous", "untangle_bodies"):
             object.__setattr__(self, field, check_flag(getattr(self, field), f"fidelity.{field}"))
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {shown(self.untangling)}: expected the name of a strategy")

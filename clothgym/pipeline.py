@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from clothgym.arrays import FloatArray
 from clothgym.fidelity import Fidelity
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame, Stage
@@ -39,6 +40,11 @@ class Pipeline:
             if "positions" in stage.writes and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
+
+    @property
+    def memory(self) -> FloatArray:
+        """(M,) what the strategy against intersections remembers at the start: a new array of zeros."""
+        return np.zeros(max((getattr(stage, "memory_size", 0) for stage in self.stages), default=0))
 
     def forget(self) -> None:
         """Drops what the detection keeps from step to step; results do not depend on it, work counters do."""
@@ -96,9 +102,11 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
     pairs = FacePairs(candidates, scene.step, step.substeps, np.asarray(scene.gravity, float))
     stages.append(pairs)
     if fidelity.untangling != "none" or fidelity.contacts_near_hits != "keep":
-        from clothgym.stages.untangle import Untangle
+        from clothgym.stages.untangle import Untangle, UntangleOnBody
 
-        stages.append(Untangle(candidates, model, fidelity, pairs, apart))
+        kind = UntangleOnBody if body and fidelity.untangle_bodies else Untangle
+        stages.append(kind(candidates, model, fidelity, pairs, apart, windy))
+        windy = windy or "external" in stages[-1].writes
     stages.append(PrimitivePairs(candidates))
     if body:
         stages.append(ContactSubstepsOnBody(step, body, candidates, model, fidelity, apart, windy))

@@ -60,6 +60,7 @@ class Simulation:
             np.zeros(0, np.int32),
             np.zeros(0, np.int32),
             np.zeros((0, 3)),
+            self.pipeline.memory,
         )
         self._frame = Frame(self.model, self._state)
         self._grip_forces: FloatArray = np.zeros((grips, 3))
@@ -284,11 +285,13 @@ class Simulation:
         """
         if not isinstance(snapshot, ClothState):
             raise ValueError(f"snapshot = {shown(snapshot)}: expected what snapshot() gave")
-        snapshot.check(self.model.vertex_count, len(self.scene.grips))
+        snapshot.check(self.model.vertex_count, len(self.scene.grips), len(self.pipeline.memory))
         self._restore(snapshot)
 
     def _restore(self, snapshot: ClothState) -> None:
         self._state = snapshot.copy()
+        if len(self._state.memory) == 0:  # of a run whose strategy remembers nothing
+            self._state.memory = self.pipeline.memory
         self._frame.state = self._state
         self.pipeline.forget()
         self._intersections, self._trace = None, Trace()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ class ClothState:
     Attributes:
         grip_positions: (G, 3) [m]; grip_velocities: (G, 3) [m/s].
         held_vertices: (A,) vertex ids; held_by: (A,) gripper of each; held_offsets: (A, 3) from its gripper [m].
+        memory: (M,) what a strategy against intersections remembers of the present tangle; almost all remember nothing.
     """
 
     positions: FloatArray
@@ -28,6 +30,7 @@ class ClothState:
     held_vertices: IntArray
     held_by: IntArray
     held_offsets: FloatArray
+    memory: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def copy(self) -> ClothState:
         """An independent copy."""
@@ -41,10 +44,11 @@ class ClothState:
             self.held_vertices.copy(),
             self.held_by.copy(),
             self.held_offsets.copy(),
+            self.memory.copy(),
         )
 
-    def check(self, vertices: int, grips: int) -> None:
-        """Whether this can be the state of a scene with so many vertices and grippers.
+    def check(self, vertices: int, grips: int, memory: int = 0) -> None:
+        """Whether this can be the state of a scene with so many vertices and grippers, and a strategy with so much memory.
 
         Raises:
             ValueError: begins with "snapshot"; names what does not fit or is not finite.
@@ -61,6 +65,8 @@ class ClothState:
             ("held_offsets", held),
         ):
             as_points(getattr(self, field), f"snapshot: {field}", count)
+        if len(self.memory) not in (0, memory):
+            raise ValueError(f"snapshot: memory: has {len(self.memory)} numbers, this strategy remembers {memory}")
         check_number(self.time, "snapshot: time", 0.0, 1e12)
         as_ids(self.held_vertices, "snapshot: held_vertices", vertices)
         if len(as_ids(self.held_by, "snapshot: held_by", grips)) != held:
@@ -78,6 +84,7 @@ class ClothState:
             self.held_vertices,
             self.held_by,
             self.held_offsets,
+            *((self.memory,) if len(self.memory) else ()),
         ):
             digest.update(str(array.shape).encode())
             digest.update(np.ascontiguousarray(array).tobytes())

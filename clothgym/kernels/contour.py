@@ -177,8 +177,8 @@ def segment_ends(hit_edge, hit_face, edge_face_start, edge_face_ids, face_count,
 def match_hits(order, keys, owners, faces, first, second, pair_faces, hits_per_pair, loop_vertex):
     """Pairs of faces from the ends of `segment_ends` in the `order` (N,) of their keys; returns how many.
 
-    Writes the two hits of each pair, -1 where there is one only, its faces (S, 2), how many hits it has, and, where that is one,
-    the vertex that its faces share, at which the segment ends; -1 where they share none, or more than one.
+    Writes the two hits of each pair, -1 where there is one only, its faces (S, 2), how many hits it has, and, where that is
+    one, the vertex that its faces share, at which the segment ends; -1 where they share none, or more than one.
     """
     pairs = 0
     for n in range(order.shape[0]):

@@ -16,61 +16,84 @@ from clothgym.stages.pairs import FacePairs
 class Untangle:
     """Hits, the passes of a strategy against them, and the vertices that contact leaves alone.
 
-    Memoryless: everything follows from the current positions.
+    Everything follows from the current positions, but for strategies with a memory, which is part of the state.
     """
 
     reads: tuple[str, ...] = ("positions", "velocities", "face_pairs")
     writes: tuple[str, ...] = ("positions", "velocities", "face_pairs", "apart")
 
-    def __init__(self, candidates: Any, model: ClothModel, fidelity: Fidelity, pairs: FacePairs, apart: Any) -> None:
+    def __init__(
+        self, candidates: Any, model: ClothModel, fidelity: Fidelity, pairs: FacePairs, apart: Any, windy: bool
+    ) -> None:
         from clothgym.detection.intersections import Intersections
         from clothgym.kernels.untangling import mark_ring
         from clothgym.response import untangling
 
         self.answer = untangling.answer
         self.strategy = untangling.get(fidelity.untangling)
+        self.memory_size = len(untangling.memory(self.strategy))
         self.passes = fidelity.untangling_passes if self.strategy is not None else 0
+        if fidelity.displacement_share == 0.0:
+            self.passes = min(self.passes, 1)  # nothing moves from pass to pass
         self.name = (
             f"intersections [untangle {fidelity.untangling} x{self.passes}, contact {fidelity.contacts_near_hits}]"
         )
+        self.channel = Channels(model, fidelity, windy)
         if self.strategy is None:
             self.writes = ("apart",)
+        elif self.channel.push > 0.0:
+            self.writes = (*self.writes, "external")
+            self.reads = (*self.reads, "external") if windy else self.reads
         self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
         self.find, self.mark_ring = Intersections, mark_ring
         self.context = untangling.Context
         self.surface = model.surface
+        self.inverse_masses, self.areas = model.inverse_masses, model.vertex_areas
         self.h0 = fidelity.h0 * model.mean_edge
         self.stack = np.zeros(model.vertex_count, np.int64)
 
     def run(self, frame: Frame) -> None:
         state, model, fidelity = frame.state, frame.model, self.fidelity
         self.apart[:] = False
-        if self.candidates.flat:  # decided for where everything is now, too
-            frame.count("hits", 0)
+        self.channel.begin(frame)
+        if self._untouched(frame):
             return
-        tree = self.candidates.tree
         moved = False
         for _ in range(max(1, self.passes)):
-            # boxes of the positions alone: those of the whole step hold many times as much
-            tree.refit(state.positions, state.positions, 0.0)
-            hits = self.find(state.positions.copy(), model.surface, edge_face=self._seen(tree.edges_against_faces()))
+            hits = self._look(frame)
             frame.count("edge_triangle_tests", hits.edge_triangle_tests)
             frame.count("hits", hits.hit_count)
             self.apart[:] = False
             if hits.hit_count == 0:
+                state.memory[:] = 0.0
                 break
             inside = None
             if self.strategy is not None:
                 frame.untangling_passes += 1
-                context = self.context(hits, model.inverse_masses, model.vertex_areas, self.h0, fidelity.g0)
+                context = self.context(hits, self.inverse_masses, self.areas, self.h0, fidelity.g0, state.memory)
                 moves, inside = self.answer(self.strategy, context)
-                self._apply(frame, moves)
+                self.channel.apply(frame, moves[: model.vertex_count])
                 moved = True
             if fidelity.contacts_near_hits != "keep":
                 self._mark(model, hits, inside)
         if moved:
             # what is tangled soon goes elsewhere than expected
             self.pairs.look(frame, 1)
+
+    def _untouched(self, frame: Frame) -> bool:
+        """Whether it is known without looking that nothing intersects."""
+        if self.candidates.flat:  # decided for where everything is now, too
+            frame.count("hits", 0)
+            frame.state.memory[:] = 0.0
+            return True
+        return False
+
+    def _look(self, frame: Frame) -> Any:
+        """Intersections where everything is now."""
+        x, tree = frame.state.positions, self.candidates.tree
+        # boxes of the positions alone: those of the whole step hold many times as much
+        tree.refit(x, x, 0.0)
+        return self.find(x.copy(), self.surface, edge_face=self._seen(tree.edges_against_faces()))
 
     def _seen(self, edge_face: IntArray) -> IntArray:
         """(C, 2) what faulty detection does not ignore of the pairs that may intersect."""
@@ -82,21 +105,75 @@ class Untangle:
 
     def _mark(self, model: ClothModel, hits: Any, inside: Any) -> None:
         """Vertices around the hits, and inside enclosed regions: contact there would lock the wrong side."""
-        edges, faces = model.surface.edges[hits.hit_edge], model.surface.faces[hits.hit_face]
+        edges, faces = self.surface.edges[hits.hit_edge], self.surface.faces[hits.hit_face]
         seeds = np.unique(np.concatenate([edges.ravel(), faces.ravel()])).astype(np.int64)
         start, neighbours, _ = model.surface.neighbourhood
+        seeds = seeds[seeds < model.vertex_count]
         self.mark_ring(start, neighbours, seeds, self.fidelity.rings, self.apart, self.stack)
         if inside is not None:
-            self.apart |= inside
+            self.apart |= inside[: model.vertex_count]
 
-    def _apply(self, frame: Frame, moved: FloatArray) -> None:
-        """Moves vertices; a share of the displacement per step also becomes velocity, up to the speed limit."""
+
+class UntangleOnBody(Untangle):
+    """The same with the bodies' true surfaces beside the cloth: infinitely heavy, and not against each other."""
+
+    def __init__(self, candidates: Any, model: ClothModel, *others: Any) -> None:
+        super().__init__(candidates, model, *others)
+        from clothgym.body import joined
+        from clothgym.detection.hierarchy import Hierarchy
+        from clothgym.mesh import Surface, vertex_areas
+
+        self.body, faces = joined(model.scene.bodies)
+        count = model.vertex_count
+        self.surface = Surface(np.concatenate([model.faces, faces + count]), count + len(self.body))
+        self.inverse_masses = np.concatenate([self.inverse_masses, np.zeros(len(self.body))])
+        self.areas = np.concatenate([self.areas, vertex_areas(self.body, faces)])
+        self.tree = Hierarchy(self.surface, np.concatenate([model.scene.start, self.body]))
+        self.of_cloth = self.surface.edges[:, 0] < count, self.surface.faces[:, 0] < count
+        self.name = f"{self.name[:-1]}, bodies]"
+
+    def _untouched(self, frame: Frame) -> bool:
+        return False
+
+    def _look(self, frame: Frame) -> Any:
+        x = np.concatenate([frame.state.positions, self.body])
+        self.tree.refit(x, x, 0.0)
+        edge_face = self._seen(self.tree.edges_against_faces())
+        edges, faces = self.of_cloth
+        chosen = edges[edge_face[:, 0]] | faces[edge_face[:, 1]]
+        return self.find(x, self.surface, edge_face=np.ascontiguousarray(edge_face[chosen]))
+
+
+class Channels:
+    """What a correction changes [Volino 2006, 2.2]: positions, velocities, accelerations, or forces."""
+
+    def __init__(self, model: ClothModel, fidelity: Fidelity, windy: bool) -> None:
+        self.fidelity, self.windy, self.step = fidelity, windy, model.scene.step
+        free = model.inverse_masses > 0.0
+        mass = float(model.masses[free].mean()) if free.any() else 1.0
+        self.push = 2.0 * fidelity.acceleration_share / self.step**2 + fidelity.penalty_stiffness / mass
+        """[1/s^2] acceleration per correction. A force in proportion to each vertex's mass keeps momentum as the correction
+        does, which moves light vertices further."""
+
+    def begin(self, frame: Frame) -> None:
+        """Of the last step's accelerations nothing is left; the wind's are new."""
+        if self.push == 0.0:
+            return
+        if len(frame.external) == 0:
+            frame.external = np.zeros((frame.model.vertex_count, 3))
+        elif not self.windy:
+            frame.external[:] = 0.0
+
+    def apply(self, frame: Frame, moved: FloatArray) -> None:
+        """Distributes a correction (V, 3) [m]; the speed that it gives a vertex ends at the speed limit."""
         state, fidelity = frame.state, self.fidelity
-        state.positions += moved
+        state.positions += fidelity.displacement_share * moved
+        if self.push > 0.0:
+            frame.external += self.push * moved
         if fidelity.velocity_share == 0.0:
             return
         before = np.sqrt(np.einsum("ij,ij->i", state.velocities, state.velocities))
-        state.velocities += (fidelity.velocity_share / frame.model.scene.step) * moved
+        state.velocities += (fidelity.velocity_share / self.step) * moved
         after = np.sqrt(np.einsum("ij,ij->i", state.velocities, state.velocities))
         allowed = np.maximum(before, fidelity.speed_limit)
         fast = after > allowed

@@ -91,7 +91,7 @@ def _canonical(quick: bool, compared: Sequence[str]) -> list[Case]:
         for depth in (1.0, 3.0) if quick else _DEPTHS:
             settings: dict[str, Any] = {"kind": kind, "depth": depth, "resolution": instances.resolution_for(depth)}
             for strategy in compared:
-                count = 4 if quick else (8 if depth > 5.0 else 20)
+                count = 3 if quick else (20 if depth < 5.0 else 12 if depth < 10.0 else 6)
                 later: dict[str, Any] = {} if quick or depth != 3.0 else {"later": 300, "followed": 2}
                 listed.append(
                     _instances("canonical", f"{kind}/{depth:g}", "canonical", settings, strategy, count=count, **later)
@@ -173,7 +173,7 @@ def _faults(quick: bool, more: Sequence[str]) -> list[Case]:
 
 
 def _dish(quick: bool) -> list[Case]:
-    short = {"part": "dish", "settings": {"length": 6.0}, "fields": {}, "seed": 0, "steps": 150 if quick else 600}
+    short = {"part": "dish", "settings": {"length": 6.0}, "fields": {}, "seed": 0, "steps": 80 if quick else 600}
     listed = [Case(f"dish/6m/{strategy}", short | {"strategy": strategy}) for strategy in ("local", "none")]
     if not quick:
         whole = {"part": "dish", "settings": {"length": 120.0}, "strategy": "local", "fields": {}, "seed": 0}

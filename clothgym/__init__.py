@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from clothgym.fidelity import Fidelity
     from clothgym.materials import Material
     from clothgym.mesh import Mesh, Surface, grid
-    from clothgym.motion import RigidMotion
     from clothgym.pattern import Pattern
     from clothgym.response.untangling.run import UntangleResult, untangle
     from clothgym.scene import Cloth, Grip, Scene
@@ -49,7 +48,6 @@ _HOMES = {
     "Mesh": "mesh",
     "Surface": "mesh",
     "grid": "mesh",
-    "RigidMotion": "motion",
     "Pattern": "pattern",
     "UntangleResult": "response.untangling.run",
     "untangle": "response.untangling.run",
@@ -87,7 +85,6 @@ __all__ = [
     "MissingExtraError",
     "Pattern",
     "Proximities",
-    "RigidMotion",
     "Scene",
     "Simulation",
     "SimulationError",

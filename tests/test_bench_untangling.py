@@ -14,7 +14,7 @@ import clothgym as cg
 from clothgym.benchmarks import frame, untangling
 from clothgym.benchmarks import papers as papers_bench
 from clothgym.benchmarks.report import json_ready
-from clothgym.benchmarks.untangling import faults, instances, overhead, show, squares
+from clothgym.benchmarks.untangling import instances, overhead, show, squares
 from clothgym.benchmarks.untangling.measure import quantile
 from clothgym.response.untangling import Corrections, names
 from clothgym.scenes.canonical import KINDS, draw
@@ -255,20 +255,6 @@ def test_summary_counts_what_was_never_resolved_as_infinite() -> None:
     assert found["right"] == pytest.approx(1 / 3)
     assert found["others"] == {"stalled": 1}
     assert (found["returns"], found["control"], found["work"]) == (4, None, 2.0)
-
-
-def test_lives_of_contours_are_those_of_their_places() -> None:
-    """A dent that stays is one contour that lives on; with a second sheet of hits elsewhere it is another."""
-    simulation = cg.Simulation(draw("Closed", 1.0, 10, 0).scene, cg.Fidelity(untangling="none"))
-    lives = faults.Lives(simulation)
-    for _ in range(3):
-        simulation.step()
-        lives.look()
-    assert lives.all() == [3]
-    simulation.set_positions(draw("Closed", 1.0, 10, 0).clean)
-    lives.look()
-    assert lives.all() == [3]
-    assert lives.alive == []
 
 
 def test_overhead_names_its_parts() -> None:

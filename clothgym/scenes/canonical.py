@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from clothgym.arrays import FloatArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
-from clothgym.motion import rotation
 from clothgym.scene import Cloth, Scene
-from clothgym.scenes.crossing import random_rotation
+from clothgym.scenes.crossing import random_rotation, rotation
 from clothgym.scenes.tangle import Beside, Tangle, shifted, tangle
 
 SIDE = 0.4

@@ -14,7 +14,7 @@ from clothgym.mesh import Mesh, grid
 from clothgym.scene import Cloth, Scene
 from clothgym.scenes import canonical
 from clothgym.scenes.canonical import SIDE
-from clothgym.scenes.crossing import random_rotation
+from clothgym.scenes.crossing import random_rotation, rotation
 from clothgym.scenes.tangle import Tangle, shifted, tangle
 
 ROWS = ("top", "middle", "bottom")
@@ -36,7 +36,7 @@ def draw_strip(resolution: int = 16, uneven: float = 0.0, seed: int = 0) -> Tang
     # not in the middle of cells, and at a slant: nothing of it lies on an edge of the sheet
     upright = np.stack([x[:, 0], x[:, 2], np.zeros(len(x))], axis=1)
     place = np.array([rng.uniform(0.2, 0.4), 0.17, rng.uniform(0.2, 0.4)])
-    upright = upright @ canonical.rotation((0.3, 1.0, 0.1), rng.uniform(0.3, 0.5)).T + place * edge
+    upright = upright @ rotation((0.3, 1.0, 0.1), rng.uniform(0.3, 0.5)).T + place * edge
     free = upright + np.array([0.0, 1.2 * resolution * edge, 0.0])
     noise = [uneven * edge * rng.uniform(-1.0, 1.0, part.shape) for part in (sheet.vertices, upright)]
     start = [sheet.vertices + noise[0], upright + noise[1]]
@@ -173,7 +173,7 @@ def draw_row(row: str = "middle", resolution: int = 16, seed: int = 0) -> Tangle
     phase = 2.0 * math.pi * rng.uniform(size=2)
     wave = np.sin(4.0 * math.pi * x + phase[0]) + np.sin(4.0 * math.pi * z + phase[1])
     waved = upper.vertices + edge * wave[:, None] * np.array([0.0, 1.0, 0.0])
-    turn = canonical.rotation((0.2, 1.0, 0.1), 0.2)
+    turn = rotation((0.2, 1.0, 0.1), 0.2)
     start = waved @ turn.T + np.array([0.37, 0.8, 0.29]) * edge
     free = start + np.array([0.0, 6.0 * edge, 0.0])
     noise = [0.02 * edge * rng.uniform(-1.0, 1.0, start.shape) for _ in range(2)]

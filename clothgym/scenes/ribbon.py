@@ -9,7 +9,7 @@ import numpy as np
 from clothgym.arrays import FloatArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
-from clothgym.motion import RigidMotion
+from clothgym.motion import Turn, Turns
 from clothgym.scene import Cloth, Scene
 
 WIDTH, EDGE = 0.05, 0.0125
@@ -44,8 +44,12 @@ def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.15, seed: i
     )
     strip = Cloth(Mesh(vertices, flat.faces, flat.quads), material, (), flat.vertices, "ribbon")
     bowl = _dish(1.3 * outer, depth)
-    motion = RigidMotion(
-        (0.0, depth, 0.0), (0.0, 1.0, 0.0), spin, (0.0, 0.0, 1.0), tilt, tilt_start=1.0, tilt_limit=math.radians(40.0)
+    centre, slow = (0.0, depth, 0.0), max(tilt, 1e-6)
+    motion = Turns(
+        (
+            Turn((0.0, 1.0, 0.0), spin, centre),
+            Turn((0.0, 0.0, 1.0), slow, centre, begin=1.0, end=min(1.0 + math.radians(40.0) / slow, 1e6)),
+        )
     )
     dish = Cloth(bowl, material, range(len(bowl.vertices)), None, "dish", motion=motion)
     return Scene((strip, dish), ground=-2.0 * outer, step=0.01, duration=6.0, name="ribbon")

@@ -29,13 +29,25 @@ def cases(quick: bool) -> list[Case]:
     listed = []
     for figure, tangle, settings, _ in _FIGURES:
         for strategy in ("local", "global"):
-            parameters = {"part": "others", "tangle": tangle, "settings": settings, "strategy": strategy, "fields": {}}
+            parameters: dict[str, Any] = {
+                "part": "others",
+                "tangle": tangle,
+                "settings": settings,
+                "strategy": strategy,
+                "fields": {},
+            }
             parameters |= {"count": 2 if quick else 10, "seed": 0, "budget": 60, "later": 0, "followed": 0}
             listed.append(Case(f"{figure}/{tangle}/{strategy}", parameters))
     squares: dict[str, Any] = {"count": 12, "box": 0.95} if quick else {"count": 25}
     for strategy in ("none", "local", "global"):
         for seed in range(1 if quick else 3):
-            fall: dict[str, Any] = {"part": "squares", "scene": "squares", "settings": squares, "strategy": strategy, "seed": seed}
+            fall: dict[str, Any] = {
+                "part": "squares",
+                "scene": "squares",
+                "settings": squares,
+                "strategy": strategy,
+                "seed": seed,
+            }
             listed.append(Case(f"Fig. 6/{strategy}/seed{seed}", fall | {"steps": 40 if quick else 60, "control": 0}))
         faults = {"part": "faults", "settings": {}, "strategy": strategy, "fields": {}, "seed": 0}
         listed.append(Case(f"Fig. 7/{strategy}", faults | {"steps": 60 if quick else 120}))

@@ -195,8 +195,8 @@ def _faults(rows: list[Row]) -> Table:
     note = (
         "True contour length, not what the faulty detection sees; medians over seeds. Paper, 3.1.2: without, intersections "
         '"quickly expand, breaking the simulation"; with, "most intersections are resolved in only 1 or 2 frames"; about 2400 '
-        "polygons at 12 iterations per second. A contour lives on while a step later one joins the same pieces of cloth beside "
-        "a common vertex."
+        "polygons at 12 iterations per second. A contour lives on as the one that shares most vertices with it a step "
+        "later."
     )
     return Table("Half of all contacts and intersections ignored [Fig. 7]", columns, cells, note)
 

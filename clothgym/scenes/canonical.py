@@ -97,7 +97,7 @@ def _closed(depth: float, resolution: int, edge: float, rng: np.random.Generator
 
 def _bbii(depth: float, resolution: int, edge: float, rng: np.random.Generator) -> Placed:
     """A sheet, and a ribbon of four cells across whose end goes through it."""
-    sheet = _waved(grid(SIDE, SIDE, resolution, resolution), 0.1 * edge, rng)
+    sheet = grid(SIDE, SIDE, resolution, resolution)  # flat: what moves the ribbon along itself is unevenness alone
     length = max(8, math.ceil(2.5 * depth) + 3)  # what is through is the smaller part
     ribbon = _upright(grid(4 * edge, length * edge, 4, length), -depth * edge)
     turn = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, math.pi)) @ rotation((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))

@@ -8,7 +8,7 @@ from typing import Any
 import clothgym as cg
 from clothgym.benchmarks.untangling.measure import Histories, quantile, untangling_share, work_units
 
-FIELDS: dict[str, Any] = {"substeps": 2, "sweeps": 6, "velocity_share": 0.0, "untangling_passes": 2}
+FIELDS: dict[str, Any] = {"substeps": 1, "sweeps": 8, "velocity_share": 0.0, "untangling_passes": 2}
 
 
 def run(parameters: dict[str, Any]) -> dict[str, Any]:

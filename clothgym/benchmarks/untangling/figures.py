@@ -181,7 +181,7 @@ def _fault_pictures() -> Image:
 
 def _dish_pictures() -> Image:
     """A short ribbon in its dish."""
-    simulation = cg.Simulation(cg.scenes.make("ribbon", length=6.0), cg.Fidelity(untangling="local", substeps=2))
+    simulation = cg.Simulation(cg.scenes.make("ribbon", length=6.0), cg.Fidelity(untangling="local", substeps=1))
     rim = simulation.positions[simulation.cloth_ranges[1][1]]
     camera = Camera.framing(np.concatenate([rim, rim + np.array([0.0, 0.1, 0.0])]), direction=(0.5, 0.7, 1.0))
     images, labels = [], []

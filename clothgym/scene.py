@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from clothgym import materials
+from clothgym import motion as motions
 from clothgym.arrays import (
     FARTHEST,
     FloatArray,
@@ -27,7 +28,7 @@ from clothgym.arrays import (
 from clothgym.body import Body
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, copied
-from clothgym.motion import RigidMotion
+from clothgym.motion import Motion
 
 _STRONGEST = 1e6
 """Largest component of gravity [m/s^2] and wind [m/s]."""
@@ -52,8 +53,8 @@ class Cloth:
             each face in a plane of its own, as a sewn garment has it, whose seam vertices lie in several panels.
         name: shown in tables and recordings.
         equal_masses: every vertex weighs the same, as in the papers; otherwise a third of the faces around it.
-        motion: of the pinned vertices; None = they stay. A cloth whose vertices are all pinned is a body of any shape, thin
-            and hollow ones too, that touches cloth as cloth does.
+        motion: of the pinned vertices, see `clothgym.motion`; None = they stay. A cloth whose vertices are all pinned is a
+            body of any shape, thin and hollow ones too, that touches cloth as cloth does.
 
     Raises:
         ValueError: names the cloth, the field and the value.
@@ -65,7 +66,7 @@ class Cloth:
     rest: Any = None
     name: str = "cloth"
     equal_masses: bool = False
-    motion: RigidMotion | None = None
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", check_text(self.name, "cloth.name"))
@@ -81,8 +82,8 @@ class Cloth:
         object.__setattr__(self, "rest", _rest(self.rest, points, len(triangles), self.name))
         object.__setattr__(self, "material", materials.get(self.material))
         object.__setattr__(self, "pins", _pins(self.pins, len(points), self.name))
-        if self.motion is not None and not isinstance(self.motion, RigidMotion):
-            raise ValueError(f"cloth {self.name!r}: motion = {shown(self.motion)}: expected a RigidMotion")
+        if self.motion is not None and np.shape(self.motion.vertices(points, 0.0)) != points.shape:
+            raise ValueError(f"cloth {self.name!r}: motion: moves another number of vertices than {len(points)}")
         if self.motion is not None and not self.pins:
             raise ValueError(f"cloth {self.name!r}: motion: moves the pinned vertices, and there are none")
 
@@ -108,7 +109,6 @@ class Cloth:
         unknown = (set(values) - {"motion"}) ^ known  # scenes of before there was motion have none
         if unknown:
             raise ValueError(f"cloth.{min(unknown)}: unknown or missing field; expected {', '.join(sorted(known))}")
-        motion = values.get("motion")
         quads = None if values["quads"] is None else np.asarray(values["quads"], np.int32)
         mesh = Mesh(np.asarray(values["vertices"], float), np.asarray(values["faces"], np.int32), quads)
         return Cloth(
@@ -118,7 +118,7 @@ class Cloth:
             values["rest"],
             values["name"],
             values["equal_masses"],
-            None if motion is None else RigidMotion.from_json(motion),
+            motions.from_json(values.get("motion")),
         )
 
 

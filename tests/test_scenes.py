@@ -12,7 +12,8 @@ import clothgym as cg
 from clothgym.model import FLEXION, SHEAR, STRUCTURAL, ClothModel
 
 SMALL = {"hanging_sheet": {"resolution": 4}, "drop": {"resolution": 6}, "squares": {"count": 3, "cells": 6},
-         "pile": {"count": 2}, "layers": {"vertices": 9}}  # fmt: skip
+         "pile": {"count": 2}, "layers": {"vertices": 9}, "ribbon": {"length": 0.7},
+         "faulty_detection": {"cells": 5, "layers": 2}}  # fmt: skip
 
 
 def small(name: str) -> cg.Scene:

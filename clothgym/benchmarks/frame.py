@@ -74,6 +74,7 @@ class Benchmark:
             `clothgym.benchmarks.machine.pyplot()`, which names the extra when it is missing.
         prepare: Called once per process before the first case and never timed: compile kernels here.
         notes: What the paper says, what to read out of the numbers.
+        with_strategies: Makes the benchmark anew with a user's untangling strategies in its tables; None = it has none.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Benchmark:
     plots: Callable[[list[Row], Path], list[Path]] = _no_plots
     prepare: Callable[[], None] | None = None
     notes: str = ""
+    with_strategies: Callable[[Sequence[str]], Benchmark] | None = None
 
 
 @dataclass(frozen=True)

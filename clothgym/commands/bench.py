@@ -36,6 +36,10 @@ def bench(
     backend: Annotated[str, typer.Option("--backend", help="loky (this machine) or ray (a cluster).")] = "loky",
     resume: Annotated[bool, typer.Option("--resume", help="Keep finished rows, run what is missing.")] = False,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of rows and reports.")] = Path("logs/bench"),
+    strategy: Annotated[
+        list[str] | None,
+        typer.Option("--strategy", help="untangling: package.module:Name of an own one.", show_default=False),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     if not names:
@@ -48,10 +52,17 @@ def bench(
         if out.exists() and not out.is_dir():
             raise ValueError(f"--out = {str(out)!r}: not a folder")
         options = {"quick": quick, "jobs": jobs, "backend": backend, "resume": resume}
+        if strategy and names != ["untangling"]:
+            raise ValueError(
+                f"--strategy = {', '.join(strategy)}: works with untangling alone, not with {', '.join(names)}"
+            )
         if names == ["all"]:
             _run_all(out, options, as_json)
         else:
-            _run([frame.load(name) for name in dict.fromkeys(names)], out, options, as_json)
+            benchmarks = [frame.load(name) for name in dict.fromkeys(names)]
+            if strategy:
+                benchmarks = [b.with_strategies(strategy) for b in benchmarks if b.with_strategies is not None]
+            _run(benchmarks, out, options, as_json)
 
 
 def _list(as_json: bool) -> None:

@@ -10,14 +10,14 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import FloatArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
-from clothgym.motion import rotation
 from clothgym.scene import Cloth, Scene
-from clothgym.scenes.crossing import random_rotation
-from clothgym.scenes.tangle import Tangle, shifted, tangle
+from clothgym.scenes.crossing import random_rotation, rotation
+from clothgym.scenes.tangle import Beside, Tangle, shifted, tangle
 
 SIDE = 0.4
 """Side of the large sheets [m]; they have `resolution` edges a side."""
@@ -28,7 +28,7 @@ _UNEVEN = 0.02
 _UNEVEN_FOLD = 0.005
 """The same for folds, whose layers come as near to each other as one likes."""
 
-Placed = tuple[list[tuple[Mesh, FloatArray]], list[tuple[IntArray, IntArray]]]
+Placed = tuple[list[tuple[Mesh, FloatArray]], list[Beside]]
 """Meshes as they start with their clean vertices, and what belongs beside what (see `tangle`)."""
 
 
@@ -68,9 +68,9 @@ def draw(kind: str, depth: float, resolution: int, seed: int, uneven: bool = Tru
 
 def canonical(kind: str = "BBII", depth: float = 2.0, resolution: int = 16, seed: int = 0) -> Scene:
     """One of seven canonical intersections, in free space without gravity. BBII: a ribbon's end through a sheet; BIBI: two
-    sheets that cross each other half; Closed: a dent; BLI: a fold whose corner is on the wrong side; LL: a crease that is
-    folded through itself; Cross: a sheet and two strips that all cross each other, so that their contours meet; Eight: a
-    band twisted through itself, whose sides cannot be told apart. The shape at the start is the one without strain."""
+    sheets that cross each other half; Closed: a dent; BLI: a fold whose flaps cross at its tip, beside a border; LL: a crease
+    that is folded through itself; Cross: a sheet and two strips that all cross each other, so that their contours meet;
+    Eight: a band twisted through itself, whose sides cannot be told apart. The shape at the start has no strain."""
     return draw(kind, depth, resolution, seed).scene
 
 
@@ -97,7 +97,7 @@ def _closed(depth: float, resolution: int, edge: float, rng: np.random.Generator
 
 def _bbii(depth: float, resolution: int, edge: float, rng: np.random.Generator) -> Placed:
     """A sheet, and a ribbon of four cells across whose end goes through it."""
-    sheet = _waved(grid(SIDE, SIDE, resolution, resolution), 0.1 * edge, rng)
+    sheet = grid(SIDE, SIDE, resolution, resolution)  # flat: what moves the ribbon along itself is unevenness alone
     length = max(8, math.ceil(2.5 * depth) + 3)  # what is through is the smaller part
     ribbon = _upright(grid(4 * edge, length * edge, 4, length), -depth * edge)
     turn = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, math.pi)) @ rotation((1.0, 0.0, 0.0), rng.uniform(-0.35, 0.35))
@@ -139,7 +139,7 @@ def _cross(depth: float, resolution: int, edge: float, rng: np.random.Generator)
     free_second = second.vertices + np.array([0.0, (depth + _ROOM) * edge + lean, 0.0])
     counts = np.cumsum([0, len(level.vertices), len(first.vertices), len(second.vertices)])
     ids = [np.arange(counts[k], counts[k + 1]) for k in range(3)]
-    beside = [
+    beside: list[Beside] = [
         (ids[1], level.faces),
         (ids[2], level.faces),
         (ids[1], shifted(second, int(counts[2]))),
@@ -151,26 +151,27 @@ def _cross(depth: float, resolution: int, edge: float, rng: np.random.Generator)
 
 
 def _bli(depth: float, resolution: int, edge: float, rng: np.random.Generator) -> Placed:
-    """A sheet folded over, whose shorter flap goes through the longer one at a corner: the contour begins in the crease."""
-    sheet, flap, along, out = _folded(resolution, edge)
-    begins = along.max() - (max(depth, 2.0) + rng.uniform(0.3, 0.7)) * edge
-    slope = depth * edge / out[flap].max()
-    t = (along - begins) / (2.0 * edge)
-    return _fold(sheet, flap, out * np.where(t > 0.0, -slope * np.minimum(t, 1.0), 0.5 * np.minimum(-t, 1.0)), out)
+    """A sheet folded over, whose flaps go through each other at the tip of the fold, where the crease meets a border."""
+    return _through(depth, resolution, edge, 0.5 * SIDE + rng.uniform(-0.5, 0.0) * edge, rng)
 
 
 def _ll(depth: float, resolution: int, edge: float, rng: np.random.Generator) -> Placed:
     """A sheet folded over, whose flaps go through each other beside the middle of the crease: both ends lie in it."""
-    sheet, flap, along, out = _folded(resolution, edge)
+    return _through(depth, resolution, edge, rng.uniform(-0.5, 0.5) * edge, rng)
+
+
+def _through(depth: float, resolution: int, edge: float, centre: float, rng: np.random.Generator) -> Placed:
+    """Flaps that go through each other within half of an ellipse around a place on the crease [m]."""
+    sheet, flap, along, out = folded(resolution, edge)
     reach = min(max(2.6 * depth, 3.0) * edge, 0.75 * out[flap].max())
     width = rng.uniform(1.0, 1.2) * reach
-    way = ((along - rng.uniform(-0.5, 0.5) * edge) / width) ** 2 + (out / reach) ** 2 - 1.0
+    way = ((along - centre) / width) ** 2 + (out / reach) ** 2 - 1.0
     # out (1 - (out / reach)^2) is at most 2 / sqrt(27) reach
     slope = depth * edge / (2.0 / math.sqrt(27.0) * reach)
-    return _fold(sheet, flap, out * np.where(way < 0.0, slope * way, 0.5 * np.minimum(way, 1.0)), out)
+    return fold(sheet, flap, out * np.where(way < 0.0, slope * way, 0.5 * np.minimum(way, 1.0)), out)
 
 
-def _folded(resolution: int, edge: float) -> tuple[Mesh, IntArray, FloatArray, FloatArray]:
+def folded(resolution: int, edge: float) -> tuple[Mesh, NDArray[np.integer], FloatArray, FloatArray]:
     """A sheet, the vertices of its shorter flap, and where all lie along the crease and out from it [m]."""
     sheet = grid(SIDE, SIDE, resolution, resolution)
     crease = resolution // 2 - 1
@@ -180,11 +181,12 @@ def _folded(resolution: int, edge: float) -> tuple[Mesh, IntArray, FloatArray, F
     return sheet, np.flatnonzero(row < crease), sheet.vertices[:, 0].copy(), out
 
 
-def _fold(sheet: Mesh, flap: IntArray, height: FloatArray, out: FloatArray) -> Placed:
+def fold(sheet: Mesh, flap: NDArray[np.integer], height: FloatArray, out: FloatArray) -> Placed:
     """The sheet with its flap at a height above the other one; in the clean state at half of the distance from the crease."""
     on_flap = np.zeros(len(out), np.bool_)
     on_flap[flap] = True
-    x = sheet.vertices[:, 0]
+    # the shorter flap tapers: its side borders lie above the other one, not above their like
+    x = np.where(on_flap, 1.0 - 0.1 * out / SIDE, 1.0) * sheet.vertices[:, 0]
     start = np.stack([x, np.where(on_flap, height, 0.0), out], axis=1)
     free = np.stack([x, np.where(on_flap, 0.5 * out, 0.0), out], axis=1)
     other = sheet.faces[~on_flap[sheet.faces].any(axis=1)]
@@ -223,7 +225,7 @@ def _eight(depth: float, resolution: int, edge: float, rng: np.random.Generator)
 # Parts
 
 
-def _both_ways(first: Mesh, second: Mesh) -> list[tuple[IntArray, IntArray]]:
+def _both_ways(first: Mesh, second: Mesh) -> list[Beside]:
     """Each of two meshes beside the other."""
     count = len(first.vertices)
     ids = np.arange(count), np.arange(count, count + len(second.vertices))

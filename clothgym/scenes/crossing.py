@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clothgym.arrays import FloatArray
 from clothgym.materials import Material
@@ -59,6 +60,14 @@ def pile(count: int = 25, seed: int = 0, gap: float = 0.02) -> Scene:
 def _material(edge: float) -> Material:
     """Light cotton; damping stands for the drag of the air (terminal speed 2.5 m/s)."""
     return Material(density=0.15, stretch=1e4, shear=2e3, flexion=2.0, damping=4.0, friction=0.1, thickness=0.1 * edge)
+
+
+def rotation(axis: ArrayLike, angle: float) -> FloatArray:
+    """(3, 3) rotation about an axis of any length but 0 [Rodrigues]."""
+    direction = np.asarray(axis, float)
+    x, y, z = direction / np.linalg.norm(direction)
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
 
 
 def random_rotation(rng: np.random.Generator) -> FloatArray:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from clothgym.mesh import Mesh, grid
 from clothgym.scene import Cloth, Scene
 from clothgym.scenes import canonical
 from clothgym.scenes.canonical import SIDE
-from clothgym.scenes.crossing import random_rotation
+from clothgym.scenes.crossing import random_rotation, rotation
 from clothgym.scenes.tangle import Tangle, shifted, tangle
 
 ROWS = ("top", "middle", "bottom")
@@ -33,7 +35,8 @@ def draw_strip(resolution: int = 16, uneven: float = 0.0, seed: int = 0) -> Tang
     x = band.vertices
     # not in the middle of cells, and at a slant: nothing of it lies on an edge of the sheet
     upright = np.stack([x[:, 0], x[:, 2], np.zeros(len(x))], axis=1)
-    upright = upright @ canonical.rotation((0.3, 1.0, 0.1), 0.4).T + np.array([0.31, 0.17, 0.23]) * edge
+    place = np.array([rng.uniform(0.2, 0.4), 0.17, rng.uniform(0.2, 0.4)])
+    upright = upright @ rotation((0.3, 1.0, 0.1), rng.uniform(0.3, 0.5)).T + place * edge
     free = upright + np.array([0.0, 1.2 * resolution * edge, 0.0])
     noise = [uneven * edge * rng.uniform(-1.0, 1.0, part.shape) for part in (sheet.vertices, upright)]
     start = [sheet.vertices + noise[0], upright + noise[1]]
@@ -93,15 +96,36 @@ def draw_crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Ta
     noise = 0.02 * edge * rng.uniform(-1.0, 1.0, shift.shape)
     turn = random_rotation(rng).T
     start = (flat.vertices + amount * edge * fade[:, None] * shift + noise) @ turn
-    return tangle(
-        [_cloth(start, flat, edge, "sheet", flat.vertices)], (flat.vertices + noise) @ turn, edge, [], "crumple"
-    )
+    return tangle([_cloth(start, flat, edge, "sheet")], (flat.vertices + noise) @ turn, edge, [], "crumple")
 
 
 def crumple(resolution: int = 16, amount: float = 1.3, seed: int = 0) -> Scene:
-    """A sheet crumpled into itself, with contours that end in creases ("dead ends", [Volino 2006, 3.2]); flat without
-    strain."""
+    """A sheet crumpled into itself, with contours that end in creases ("dead ends", [Volino 2006, 3.2]). Like
+    that it has no strain: nothing pulls it flat."""
     return draw_crumple(resolution, amount, seed).scene
+
+
+def draw_corner(depth: float = 3.0, resolution: int = 16, seed: int = 0) -> Tangle:
+    """See `fold_corner`."""
+    rng = np.random.default_rng([seed, 17])
+    edge = SIDE / resolution
+    sheet, flap, along, out = canonical.folded(resolution, edge)
+    begins = along.max() - (max(depth, 2.0) + rng.uniform(0.3, 0.7)) * edge
+    slope = depth * edge / out[flap].max()
+    t = (along - begins) / (2.0 * edge)
+    height = out * np.where(t > 0.0, -slope * np.minimum(t, 1.0), 0.5 * np.minimum(-t, 1.0))
+    placed, beside = canonical.fold(sheet, flap, height, out)
+    mesh, free = placed[0]
+    turn = random_rotation(rng).T
+    noise = 0.005 * edge * rng.uniform(-1.0, 1.0, free.shape)
+    start = (mesh.vertices + noise) @ turn
+    return tangle([_cloth(start, mesh, edge, "sheet")], (free + noise) @ turn, edge, beside, "fold_corner")
+
+
+def fold_corner(depth: float = 3.0, resolution: int = 16, seed: int = 0) -> Scene:
+    """A sheet folded over, whose shorter flap goes through the longer one at a corner: a straight contour from the crease to
+    the far border, on the one side of which everything is wrong."""
+    return draw_corner(depth, resolution, seed).scene
 
 
 def draw_folds(layers: int = 4, depth: float = 2.0, resolution: int = 12, seed: int = 0) -> Tangle:
@@ -149,7 +173,7 @@ def draw_row(row: str = "middle", resolution: int = 16, seed: int = 0) -> Tangle
     phase = 2.0 * math.pi * rng.uniform(size=2)
     wave = np.sin(4.0 * math.pi * x + phase[0]) + np.sin(4.0 * math.pi * z + phase[1])
     waved = upper.vertices + edge * wave[:, None] * np.array([0.0, 1.0, 0.0])
-    turn = canonical.rotation((0.2, 1.0, 0.1), 0.2)
+    turn = rotation((0.2, 1.0, 0.1), 0.2)
     start = waved @ turn.T + np.array([0.37, 0.8, 0.29]) * edge
     free = start + np.array([0.0, 6.0 * edge, 0.0])
     noise = [0.02 * edge * rng.uniform(-1.0, 1.0, start.shape) for _ in range(2)]
@@ -173,7 +197,11 @@ def draw_garment(layers: int = 2, resolution: int = 16, push: float = 2.0, seed:
     edge = SIDE / resolution
     around = 2 * resolution
     radius = around * edge / (2.0 * math.pi)
-    cloths, clean, ids, faces, count = [], [], [], [], 0
+    cloths: list[Cloth] = []
+    clean: list[FloatArray] = []
+    ids: list[Any] = []
+    faces: list[Any] = []
+    count = 0
     for k in range(layers):
         rows = resolution - 2 * k  # outer layers are shorter, as a shirt over a skirt
         own = radius + 1.2 * edge * k
@@ -210,7 +238,7 @@ def tube_faces(around: int, rows: int) -> np.ndarray:
     return np.concatenate(faces).astype(np.int32)
 
 
-def _ring(radius: FloatArray | float, turn: FloatArray, height: FloatArray) -> FloatArray:
+def _ring(radius: Any, turn: FloatArray, height: Any) -> FloatArray:
     """(rows * around, 3) rings at some heights."""
     r = np.broadcast_to(radius, (len(height), len(turn)))
     y = np.broadcast_to(height[:, None], r.shape)
@@ -221,15 +249,17 @@ MAKERS = {
     "strip_through_sheet": strip_through_sheet,
     "waist": waist,
     "crumple": crumple,
+    "fold_corner": fold_corner,
     "folds": folds,
     "figure_two": figure_two,
     "garment_layers": garment_layers,
 }
-DRAWN = {
+DRAWN: dict[str, Callable[..., Tangle]] = {
     "canonical": canonical.draw,
     "strip_through_sheet": draw_strip,
     "waist": draw_waist,
     "crumple": draw_crumple,
+    "fold_corner": draw_corner,
     "folds": draw_folds,
     "figure_two": draw_row,
     "garment_layers": draw_garment,
@@ -248,6 +278,11 @@ PARAMETERS = {
     "crumple": {
         "resolution": _RESOLUTION,
         "amount": ("edges", 0.0, 10.0, "how far vertices are displaced"),
+        "seed": _SEED,
+    },
+    "fold_corner": {
+        "depth": ("edges", 0.1, 6.0, "how far the corner reaches through"),
+        "resolution": _RESOLUTION,
         "seed": _SEED,
     },
     "folds": {

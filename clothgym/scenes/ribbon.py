@@ -9,46 +9,52 @@ import numpy as np
 from clothgym.arrays import FloatArray
 from clothgym.materials import Material
 from clothgym.mesh import Mesh, grid
-from clothgym.motion import RigidMotion
+from clothgym.motion import Turn, Turns
 from clothgym.scene import Cloth, Scene
 
 WIDTH, EDGE = 0.05, 0.0125
 """Of the ribbon [m]: 120 m are 76,800 triangles."""
-_GAP, _RISE = 8e-3, 3e-3
-"""Between neighbouring turns of the roll, outwards and upwards [m]."""
+_GAP = 0.01
+"""Between neighbouring turns of the roll [m]."""
+_FALL = 0.05
+"""From the lower border of the ribbon to the dish [m]."""
 _INNER = 0.05
 """Radius of the innermost turn [m]."""
 
 
 def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.15, seed: int = 0) -> Scene:
-    """A ribbon, 5 cm wide, rolled up loosely on its edge, falls into a dish that rotates and, from a second on, tilts slowly by
-    up to 40 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices are all pinned and
-    move."""
+    """A ribbon, 5 cm wide, rolled up loosely on its edge, falls by its width into a dish that rotates and, from a second on,
+    tilts slowly by up to 40 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices are
+    all pinned and move. Steps of 1/200 s."""
     rng = np.random.default_rng(seed)
     along, outer = _spiral(length)
     flat = grid(length, WIDTH, len(along) - 1, round(WIDTH / EDGE))
     rows = round(WIDTH / EDGE) + 1
-    turns = (np.hypot(along[:, 0], along[:, 1]) - _INNER) / _GAP
     wave = 0.2 * _GAP * np.sin(40.0 * np.linspace(0.0, length, len(along)) + rng.uniform(0.0, 2.0 * math.pi))
     outwards = along / np.linalg.norm(along, axis=1)[:, None]
     lower = along + (wave + 0.3 * _GAP)[:, None] * outwards
     upper = along - (wave + 0.3 * _GAP)[:, None] * outwards
     share = np.linspace(0.0, 1.0, rows)[:, None, None]
     place = (1.0 - share) * lower + share * upper
-    depth = 0.4 * 1.3 * outer
-    height = depth + 0.02 + share[..., 0] * WIDTH + _RISE * turns
+    radius = 1.3 * outer
+    depth = 0.4 * radius
+    height = depth * (np.hypot(place[..., 0], place[..., 1]) / radius) ** 2 + _FALL + share[..., 0] * WIDTH
     vertices = np.stack([place[..., 0], height, place[..., 1]], axis=-1).reshape(-1, 3)
     vertices += 1e-3 * EDGE * rng.uniform(-1.0, 1.0, vertices.shape)
     material = Material(
-        density=0.15, stretch=1e3, shear=2e2, flexion=0.05, damping=2.0, friction=0.2, thickness=0.15 * EDGE
+        density=0.15, stretch=1e3, shear=2e2, flexion=0.05, damping=4.0, friction=0.2, thickness=0.15 * EDGE
     )
     strip = Cloth(Mesh(vertices, flat.faces, flat.quads), material, (), flat.vertices, "ribbon")
-    bowl = _dish(1.3 * outer, depth)
-    motion = RigidMotion(
-        (0.0, depth, 0.0), (0.0, 1.0, 0.0), spin, (0.0, 0.0, 1.0), tilt, tilt_start=1.0, tilt_limit=math.radians(40.0)
+    bowl = _dish(radius, depth)
+    centre, slow = (0.0, depth, 0.0), max(tilt, 1e-6)
+    motion = Turns(
+        (
+            Turn((0.0, 1.0, 0.0), spin, centre),
+            Turn((0.0, 0.0, 1.0), slow, centre, begin=1.0, end=min(1.0 + math.radians(40.0) / slow, 1e6)),
+        )
     )
     dish = Cloth(bowl, material, range(len(bowl.vertices)), None, "dish", motion=motion)
-    return Scene((strip, dish), ground=-2.0 * outer, step=0.01, duration=6.0, name="ribbon")
+    return Scene((strip, dish), ground=-2.0 * outer, step=0.005, duration=5.0, name="ribbon")
 
 
 def _spiral(length: float) -> tuple[FloatArray, float]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
 from clothgym.detection.sides import signed_sides
@@ -14,6 +15,10 @@ from clothgym.scene import Cloth, Scene
 
 _SLACK = 0.01
 """Share of the vertices that started right and may count as wrong: closest points jump where cloth bends around a border."""
+
+
+Beside = tuple[NDArray[np.integer], NDArray[np.integer]]
+"""Vertex ids (P,) and faces (F, 3), with the ids of the whole scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +32,7 @@ class SideRule:
         misplaced: (P,) of those, the ones on the other side at the start.
     """
 
-    vertices: IntArray
+    vertices: NDArray[np.integer]
     surface: Surface
     signs: FloatArray
     misplaced: BoolArray
@@ -69,17 +74,14 @@ class Tangle:
         return True
 
 
-def tangle(
-    cloths: Sequence[Cloth], clean: FloatArray, edge: float, beside: Sequence[tuple[IntArray, IntArray]], name: str
-) -> Tangle:
+def tangle(cloths: Sequence[Cloth], clean: FloatArray, edge: float, beside: Sequence[Beside], name: str) -> Tangle:
     """A tangle in free space, without gravity.
 
     Args:
         cloths: as they start.
         clean: (V, 3) [m] of all of them.
         edge: [m].
-        beside: pairs of vertex ids (P,) and faces (F, 3), with the ids of the whole scene: in the clean state these vertices
-            are on the side of these faces where they belong.
+        beside: in the clean state these vertices are on the side of these faces where they belong.
         name: of the scene.
     """
     scene = Scene(tuple(cloths), gravity=(0.0, 0.0, 0.0), step=0.01, duration=0.6, name=name)

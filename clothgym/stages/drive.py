@@ -17,17 +17,21 @@ class Drive:
 
     def __init__(self, model: ClothModel) -> None:
         scene = model.scene
-        parts = [(cloth, vertices) for cloth, (_, vertices, _) in zip(scene.cloths, model.ranges) if cloth.motion]
-        self.driven = [(c.motion, np.array(c.pins, np.int64) + v.start) for c, v in parts]
-        self.name = f"drive [{', '.join(cloth.name for cloth, _ in parts)}]"
+        self.driven = [
+            (cloth.motion, vertices, np.array(cloth.pins, np.int64))
+            for cloth, (_, vertices, _) in zip(scene.cloths, model.ranges)
+            if cloth.motion is not None
+        ]
+        self.name = f"drive [{', '.join(cloth.name for cloth in scene.cloths if cloth.motion is not None)}]"
         self.start, self.step = scene.start, scene.step
-        self.ids = np.concatenate([ids for _, ids in self.driven])
+        self.ids = np.concatenate([vertices.start + pins for _, vertices, pins in self.driven])
         self.velocities: FloatArray = np.zeros((len(self.ids), 3))
 
     def run(self, frame: Frame) -> None:
         state = frame.state
         # the end comes from the start of the scene: what a step leaves undone, the next one makes up for
-        ends = [motion.places(self.start[ids], state.time + self.step) for motion, ids in self.driven]
+        at = state.time + self.step
+        ends = [motion.vertices(self.start[vertices], at)[pins] for motion, vertices, pins in self.driven]
         self.velocities[:] = (np.concatenate(ends) - state.positions[self.ids]) / self.step
         state.velocities[self.ids] = self.velocities
 

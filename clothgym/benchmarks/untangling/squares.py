@@ -1,113 +1,70 @@
-"""`clothgym bench untangling`: 25 intersecting squares fall on the ground, with every strategy [Volino 2006, 3.1.1, Fig. 6]."""
+"""25 intersecting squares fall on the ground, with every strategy [Volino 2006, 3.1.1, Fig. 6]; and a clean pile as control."""
 
 from __future__ import annotations
 
-import math
 import statistics
-import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import clothgym as cg
-from clothgym.benchmarks.frame import Benchmark, Case, Row
+from clothgym.benchmarks.frame import Row
 from clothgym.benchmarks.machine import pyplot
 from clothgym.benchmarks.report import Table
+from clothgym.benchmarks.untangling.measure import (
+    Histories,
+    control,
+    known,
+    median,
+    of_part,
+    quantile,
+    untangling_share,
+)
 
-STRATEGIES = ("none", "local", "global", "hybrid")
 MARKS = (5, 10, 15, 30)
 """Steps at which the contour length is compared with that of the start; the last one is the bound of "clean in time"."""
 SETTLING = 30
 """Steps after the first clean one from which strain counts as lasting."""
 
-_PAPER = {
+PAPER = {
     "none": "falls like a clump without any improvement",
     "local": "works poorly, because of the extent of the contours",
     "global": "a large amount resolved in the first 10 iterations; quickly totally intersection-free",
     "hybrid": "not measured; 3.2 advises to identify regions whenever possible",
 }
-_STAGES = ("intersections", "untangle")
-_COLOURS = {"none": "0.45", "local": "tab:orange", "global": "tab:blue", "hybrid": "tab:green"}
-_NOTES = (
-    "Volino and Magnenat-Thalmann 2006, 3.1.1: 25 squares of about 300 polygons, more than hundred contours, roughly 2000 "
-    "edge-polygon intersections, global scheme, 0.2 to 0.4 s per iteration on a 3 GHz Pentium 4, extra cost not measurable. "
-    "Sizes, poses, thickness, time step and material are not given there. A run is clean when no exact hit is left; "
-    "a short contour alone can be collected by pinching, which shows in the strain. The clean pile is the control: "
-    "hits there come from contact, not from untangling. Quick runs take fewer squares and steps."
-)
-
-
-def cases(quick: bool) -> list[Case]:
-    """Strategies x seeds, and the clean pile without untangling."""
-    seeds, steps, pile_seeds, pile_steps = (2, 40, 1, 40) if quick else (10, 330, 3, 300)
-    squares: dict[str, Any] = {"count": 12, "box": 0.95} if quick else {"count": 25}  # the same density
-    pile: dict[str, Any] = {"count": squares["count"]}
-    listed = [
-        Case(
-            f"squares/{strategy}/seed{seed}",
-            {
-                "scene": "squares",
-                "strategy": strategy,
-                "seed": seed,
-                # what stays tangled shows all there is to see in the first second
-                "steps": steps if strategy in ("global", "hybrid") else min(steps, 100),
-                **squares,
-            },
-        )
-        for strategy in ("global", "none", "hybrid", "local")  # a run that is cut short has the paper's question first
-        for seed in range(seeds)
-    ]
-    return listed + [
-        Case(f"pile/seed{seed}", {"scene": "pile", "strategy": "none", "seed": seed, "steps": pile_steps, **pile})
-        for seed in range(pile_seeds)
-    ]
-
-
-def prepare() -> None:
-    """Compiles every kernel that a case uses."""
-    scene = cg.scenes.make("squares", count=4, box=0.5, cells=4)
-    for strategy in STRATEGIES:
-        simulation = cg.Simulation(scene, cg.Fidelity(untangling=strategy))
-        simulation.step(2)
-        simulation.metrics()
 
 
 def run(parameters: dict[str, Any]) -> dict[str, Any]:
-    """One fall: `scene`, `strategy`, `seed`, `steps`; all others are parameters of the scene."""
-    settings = dict(parameters)
-    name, strategy, steps = settings.pop("scene"), settings.pop("strategy"), int(settings.pop("steps"))
-    simulation = cg.Simulation(cg.scenes.make(name, **settings), cg.Fidelity(untangling=strategy))
-    measured = [simulation.metrics()]
-    seconds: list[float] = []
-    failure = ""
-    for _ in range(steps):
-        started = time.perf_counter()
-        try:
-            simulation.step()
-        except cg.SimulationError as error:
-            failure = str(error)
-            break
-        seconds.append(time.perf_counter() - started)
-        measured.append(simulation.metrics())
-    hits = [int(m["hits"]) for m in measured]
-    strains = [m["max_strain"] for m in measured]
-    history = {
-        "hits": hits,
-        "contours": [int(m["contour_count"]) for m in measured],
-        "length": [m["contour_length"] for m in measured],
-    }
+    """One fall: `scene` with its `settings`, `strategy`, `seed`, `steps`; `control`: steps that a copy goes on without
+    untangling from where the run is first clean."""
+    fidelity = cg.Fidelity(untangling=parameters["strategy"])
+    scene = cg.scenes.make(parameters["scene"], **parameters["settings"], seed=parameters["seed"])
+    simulation = cg.Simulation(scene, fidelity)
+    histories = Histories(simulation)
+    first_clean: list[Any] = []
+
+    def look() -> None:
+        if histories.clean and not first_clean:
+            first_clean.append(simulation.snapshot())
+
+    histories.play(parameters["steps"], look)
+    share, measured = untangling_share(simulation), simulation.metrics()
+    history: dict[str, list[Any]] = {"hits": histories.hits, "contours": histories.contours, "length": histories.length}
+    alone = None
+    if first_clean and parameters["control"]:
+        alone = control(simulation, first_clean[0], parameters["control"])
     return {
         "start": {key: values[0] for key, values in history.items()},
         "end": {key: values[-1] for key, values in history.items()},
         "history": history,
-        **judge(hits, history["length"], strains),
-        "failure": failure,
-        "untangling_passes": measured[-1]["untangling_passes"],
-        "work": measured[-1]["work"],
-        "step_seconds": statistics.median(seconds) if seconds else None,
-        "untangling_share": _untangling_share(simulation),
+        **judge(histories.hits, histories.length, histories.strains),
+        "control": alone,
+        "failure": histories.failure,
+        "untangling_passes": measured["untangling_passes"],
+        "work": measured["work"],
+        "step_seconds": statistics.median(histories.seconds) if histories.seconds else None,
+        "untangling_share": share,
     }
 
 
@@ -134,49 +91,21 @@ def judge(hits: list[int], length: list[float], strains: list[float]) -> dict[st
     }
 
 
-def _untangling_share(simulation: cg.Simulation) -> float | None:
-    """Share of finding and resolving intersections in the time of all stages."""
-    profile = simulation.profile
-    stages = {stage.name: profile[stage.name][1] for stage in simulation.pipeline.stages}
-    total = sum(stages.values())
-    return sum(t for name, t in stages.items() if name.startswith(_STAGES)) / total if total > 0.0 else None
-
-
 # Tables
 
 
 def tables(rows: list[Row]) -> list[Table]:
     """Start, result and cost per strategy, and the control."""
-    squares, pile = (_of(rows, scene) for scene in ("squares", "pile"))
+    squares, pile = (of_part(rows, part) for part in ("squares", "pile"))
     found = [_start_table(squares), _strategy_table(squares), _cost_table(squares)] if squares else []
     return found + ([_control_table(pile)] if pile else [])
 
 
-def _of(rows: list[Row], scene: str, strategy: str | None = None) -> list[Row]:
-    return [
-        row for row in rows if row["parameters"]["scene"] == scene and strategy in (None, row["parameters"]["strategy"])
-    ]
-
-
 def _by_strategy(rows: list[Row]) -> list[tuple[str, list[dict[str, Any]]]]:
-    groups = ((s, [row["result"] for row in _of(rows, "squares", s)]) for s in STRATEGIES)
-    return [(strategy, results) for strategy, results in groups if results]
-
-
-def _quantile(values: Iterable[float | None], share: float) -> float | None:
-    """Smallest value that at least this share of all lies at or below; None counts as infinite, and so may be the answer."""
-    ordered = sorted(math.inf if value is None else value for value in values)
-    value = ordered[max(math.ceil(share * len(ordered)) - 1, 0)]
-    return value if math.isfinite(value) else None
-
-
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
-
-
-def _median(values: Iterable[float | None]) -> float | None:
-    known = _known(values)
-    return statistics.median(known) if known else None
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(row["parameters"]["strategy"], []).append(row["result"])
+    return list(groups.items())
 
 
 def _start_table(rows: list[Row]) -> Table:
@@ -190,7 +119,7 @@ def _start_table(rows: list[Row]) -> Table:
     for title, key, paper in quantities:
         values = [start[key] for start in starts.values()]
         cells.append((title, min(values), statistics.median(values), max(values), paper))
-    count = rows[0]["parameters"]["count"]
+    count = rows[0]["parameters"]["settings"]["count"]
     return Table(
         f"Start: {count} squares, {len(starts)} seeds",
         ("quantity", "least", "median", "most", "paper, 25 squares"),
@@ -208,16 +137,17 @@ def _strategy_table(rows: list[Row]) -> Table:
                 strategy,
                 len(results),
                 sum(first is not None and first <= bound for first in firsts) / len(results),
-                _quantile(firsts, 0.5),
-                _quantile(firsts, 0.9),
-                *(_median(r["length_ratio"][str(mark)] for r in results) for mark in MARKS),
+                quantile(firsts, 0.5),
+                quantile(firsts, 0.9),
+                *(median(r["length_ratio"][str(mark)] for r in results) for mark in MARKS),
                 sum((r["returns"] or 0) > 0 for r in results),
-                max(_known(r["returns"] for r in results), default=None),
+                max(known(r["returns"] for r in results), default=None),
+                max(known(r["control"] for r in results), default=None),
                 max(r["end"]["hits"] for r in results),
                 max(r["strain_until_clean"] for r in results),
-                max(_known(r["strain_later"] for r in results), default=None),
+                max(known(r["strain_later"] for r in results), default=None),
                 sum(bool(r["failure"]) for r in results),
-                _PAPER[strategy],
+                PAPER.get(strategy),
             )
         )
     columns = (
@@ -229,6 +159,7 @@ def _strategy_table(rows: list[Row]) -> Table:
         *(f"L/L0 at {mark}" for mark in MARKS),
         "seeds with returns",
         "most hits after",
+        "the same without untangling",
         "most hits at the end",
         "strain until clean",
         "strain later",
@@ -236,7 +167,8 @@ def _strategy_table(rows: list[Row]) -> Table:
         "paper",
     )
     note = (
-        "First clean step: - = not reached by that share of the seeds. Returns: hits in any step after the first clean one. "
+        "First clean step: - = not reached by that share of the seeds. Returns: hits in any step after the first clean one; "
+        "without untangling: the most hits of a copy that goes on without it from there, where that was asked for. "
         f"L/L0: median over seeds. Strain: largest over seeds, until the first clean step (or the end) and from {SETTLING} "
         "steps after it."
     )
@@ -247,12 +179,12 @@ def _cost_table(rows: list[Row]) -> Table:
     cells = [
         (
             strategy,
-            _median(r["step_seconds"] for r in results),
-            _median(r["untangling_share"] for r in results),
-            _median(r["untangling_passes"] for r in results),
-            _median(r["work"].get("edge_triangle_tests") for r in results),
-            _median(r["work"].get("box_pairs") for r in results),
-            _median(r["work"].get("contacts") for r in results),
+            median(r["step_seconds"] for r in results),
+            median(r["untangling_share"] for r in results),
+            median(r["untangling_passes"] for r in results),
+            median(r["work"].get("edge_triangle_tests") for r in results),
+            median(r["work"].get("box_pairs") for r in results),
+            median(r["work"].get("contacts") for r in results),
         )
         for strategy, results in _by_strategy(rows)
     ]
@@ -277,7 +209,7 @@ def _control_table(rows: list[Row]) -> Table:
         hits = row["result"]["history"]["hits"]
         cells.append(
             (
-                row["parameters"]["count"],
+                row["parameters"]["settings"]["count"],
                 row["seed"],
                 len(hits) - 1,
                 sum(count > 0 for count in hits),
@@ -297,7 +229,7 @@ def _control_table(rows: list[Row]) -> Table:
 
 def plots(rows: list[Row], folder: Path) -> list[Path]:
     """L/L0 and hits over the steps: median and range over the seeds of each strategy."""
-    squares = _of(rows, "squares")
+    squares = of_part(rows, "squares")
     if not squares:
         return []
     lengths = {s: _histories(results, "length", relative=True) for s, results in _by_strategy(squares)}
@@ -319,13 +251,13 @@ def _histories(results: list[dict[str, Any]], key: str, relative: bool = False) 
 
 
 def _plot(curves: dict[str, np.ndarray], label: str, scale: tuple[float, str], path: Path) -> Path:
-    plt = pyplot()
+    plt, colours = pyplot(), strategy_colours(list(curves))
     figure, axes = plt.subplots(figsize=(8.0, 4.5), constrained_layout=True)
     threshold, kind = scale
     axes.set_yscale(kind, linthresh=threshold)
     for strategy, table in curves.items():
         steps = np.arange(table.shape[1])
-        colour = _COLOURS[strategy]
+        colour = colours[strategy]
         seen = ~np.isnan(table).all(axis=0)
         axes.fill_between(
             steps[seen],
@@ -353,13 +285,10 @@ def _plot(curves: dict[str, np.ndarray], label: str, scale: tuple[float, str], p
     return path
 
 
-benchmark = Benchmark(
-    name="untangling",
-    title="Untangling of falling squares, by strategy [Volino 2006, Fig. 6]",
-    cases=cases,
-    run=run,
-    tables=tables,
-    plots=plots,
-    prepare=prepare,
-    notes=_NOTES,
-)
+def strategy_colours(strategies: list[str]) -> dict[str, Any]:
+    """A colour for each strategy, the same in every plot for those that the package has."""
+    palette = pyplot().get_cmap("tab10").colors
+    from clothgym.response.untangling import names
+
+    ordered = dict.fromkeys([name for name in names() if name != "none"] + [s for s in strategies if s != "none"])
+    return {"none": "0.45"} | {name: palette[n % 10] for n, name in enumerate(ordered)}

@@ -270,6 +270,17 @@ class Rig:
         )
 
 
+def blended(start: Mapping[str, FloatArray], end: Mapping[str, FloatArray], share: float) -> dict[str, FloatArray]:
+    """Rotations between two poses: the shorter way from bone to bone, straight through the quaternions and made unit."""
+    still = np.array([1.0, 0.0, 0.0, 0.0])
+    found = {}
+    for bone in sorted({*start, *end}):
+        one, two = start.get(bone, still), end.get(bone, still)
+        mixed = (1.0 - share) * one + share * math.copysign(1.0, float(one @ two)) * two
+        found[bone] = mixed / np.linalg.norm(mixed)
+    return found
+
+
 @lru_cache(maxsize=len(NAMES))
 def load(name: str) -> Rig:
     """One of the bodies of the package: "female" (1.59 m) or "male" (1.73 m). Each is read once.

@@ -166,7 +166,7 @@ class Scene:
 
     Attributes:
         cloths: at least one.
-        bodies: what the cloth lies on; they do not move.
+        bodies: what the cloth lies on; they stand, or move as they are told (`Body.motion`).
         ground: height of a horizontal plane [m], None = none.
         gravity: [m/s^2].
         wind: velocity of the air [m/s]; wind_drag: force per area and speed across the cloth [N s/m^3].
@@ -217,8 +217,13 @@ class Scene:
 
     @property
     def calm(self) -> bool:
-        """Whether no wind blows."""
-        return self.wind_drag == 0.0 or not any(self.wind)
+        """Whether nothing does work on the cloth: no wind blows, no body moves."""
+        return not self.moving and (self.wind_drag == 0.0 or not any(self.wind))
+
+    @property
+    def moving(self) -> bool:
+        """Whether a body moves."""
+        return any(body.motion is not None for body in self.bodies)
 
     @property
     def start(self) -> FloatArray:

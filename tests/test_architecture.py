@@ -23,7 +23,7 @@ FLOORS = {
     0: ("_jit", "arrays", "errors"),
     1: ("kernels",),
     2: (
-        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "torso", "body", "assets"),
+        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "motion", "torso", "body", "assets"),
         *("pattern", "garmentcode", "panel_mesh", "garment"),
     ),
     3: ("scene",),
@@ -199,7 +199,7 @@ def test_stage_lists():
 
 def test_stage_lists_with_a_body():
     sphere = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
-    near, label = cg.Body(sphere), "body 64 px, coulomb, 4 points a face"
+    near, label = cg.Body(sphere), "body 64 px along z, coulomb, 4 points a face"
     coarse = {"map_size": 64, "body_faces": 2}
     assert stages(dataclasses.replace(SHEET, bodies=[near]), **coarse) == [f"integrate [xpbd 8x4, {label}]"]
     names = stages(dataclasses.replace(PILE, bodies=[near]), untangling="none", contacts_near_hits="keep", **coarse)

@@ -139,7 +139,9 @@ class _Fitting:
     def __init__(self, pattern: Pattern, body: Body, fidelity: Fidelity, edge_length: float) -> None:
         self.pattern, self.body, self.edge_length = pattern, body, edge_length
         self.tolerance = fidelity.body_tolerance
-        self.maps = BodyMaps([body], fidelity.map_size, self.tolerance + REACH, fidelity.body_normals)
+        self.maps = BodyMaps(
+            [body], fidelity.map_size, self.tolerance + REACH, fidelity.body_normals, fidelity.body_views
+        )
         self.garment = assemble(pattern, edge_length)
         self.expected = expected_limbs(self.garment, body)
 

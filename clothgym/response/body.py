@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.body import vertices_at
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.body_contact import BodyContact
@@ -57,13 +58,15 @@ def body_contact(
         faces=np.ascontiguousarray(faces, np.int32),
         face_points=face_points(face_parts),
         near_faces=np.zeros(1 + len(faces), np.int32),
+        clock=np.zeros(1),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),
         dragged=np.zeros((vertex_count, 3)),
         moved=np.zeros((vertex_count, 3)),
         approach=np.zeros((vertex_count, 3)),
-        pushes=np.zeros((vertex_count, 4)),
+        carried=np.zeros((vertex_count, 3)),
+        pushes=np.zeros((vertex_count, 7)),
         forces=np.zeros((vertex_count, 3)),
     )
 
@@ -76,8 +79,12 @@ class BodyResponse:
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         bodies = model.scene.bodies
-        self.maps = BodyMaps(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals)
-        self.label = f"body {fidelity.map_size} px, {fidelity.body_response}"
+        self.bodies, self.moving, self.step = bodies, model.scene.moving, model.scene.step
+        self.maps = BodyMaps(
+            bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals, fidelity.body_views
+        )
+        self.label = f"body {fidelity.map_size} px along {fidelity.body_views}, {fidelity.body_response}"
+        self.label += ", drawn anew each step" if self.moving else ""
         self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""
         coulomb = fidelity.body_response == "coulomb"
         self._contact = body_contact(
@@ -92,7 +99,15 @@ class BodyResponse:
         )
 
     def begin(self, frame: Frame) -> BodyContact:
-        """Ready for a step; its forces are the frame's `body_forces` from now on."""
+        """Ready for a step; its forces are the frame's `body_forces` from now on.
+
+        What moves is drawn where it is at the end of the step: from the state's time alone, so no drawing is kept.
+        """
+        if self.moving:
+            now = frame.state.time
+            self.maps.render(vertices_at(self.bodies, now + self.step), vertices_at(self.bodies, now), self.step)
+            self._contact = self._contact._replace(map=self.maps.map)
+        self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
         frame.body_forces = self._contact.forces
         return self._contact

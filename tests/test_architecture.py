@@ -205,7 +205,7 @@ def test_stage_lists_with_a_body():
     names = stages(dataclasses.replace(PILE, bodies=[near]), untangling="none", contacts_near_hits="keep", **coarse)
     assert names == ["face pairs", "primitive pairs", f"contact substeps [xpbd 8x4, {label}]"]
     paper = stages(dataclasses.replace(SHEET, bodies=[near]), map_size=64, body_faces=0, body_response="velocity")
-    assert paper == ["integrate [xpbd 8x4, body 64 px, velocity]"]
+    assert paper == ["integrate [xpbd 8x4, body 64 px along z, velocity]"]
 
 
 def test_the_label_tells_the_sweeps_that_contact_makes():

@@ -60,20 +60,31 @@ class BodyMaps:
         self.vertices, self.faces = joined(bodies)
         self.map_size, self.margin, self.normals, self.views = map_size, margin, normals, views
         self._surface = Surface(self.faces, len(self.vertices))
-        self._used = np.unique(self.faces)
         self.render(self.vertices)
 
-    def render(self, vertices: ArrayLike, before: ArrayLike | None = None, dt: float = 0.0) -> None:
-        """Draws the maps for moved vertices (V, 3) [m]; `before` is where they were dt [s] earlier, None = they stand."""
+    def render(
+        self,
+        vertices: ArrayLike,
+        before: ArrayLike | None = None,
+        dt: float = 0.0,
+        near: FloatArray | None = None,
+    ) -> None:
+        """Draws the maps for moved vertices (V, 3) [m].
+
+        Args:
+            before: (V, 3) where they were dt [s] earlier; None: they stand.
+            near: (2, 3) box [m]: points outside it will not be asked about, so nothing is drawn there; None: everywhere.
+        """
         self.vertices = as_points(vertices, "vertices", len(self.vertices))
         velocities = np.zeros((0, 3))
         if before is not None and dt > 0.0:
             velocities = (self.vertices - as_points(before, "before", len(self.vertices))) / dt
-        used = self.vertices[self._used]
-        low, high = used.min(axis=0), used.max(axis=0)
-        normals = np.empty_like(self.vertices)
-        raster.vertex_normals(self.vertices, self.faces, normals)
-        views = [_View(self, VIEWS.index(axis), low, high) for axis in self.views]
+        low, high = box = np.empty((2, 3))
+        body_map.extent(self.vertices, self.faces, box)
+        normals = np.empty((len(self.vertices) if self.normals == "interpolated" else 0, 3))
+        if len(normals):
+            raster.vertex_normals(self.vertices, self.faces, normals)
+        views = [_View(self, VIEWS.index(axis), low, high, near) for axis in self.views]
         texels = sum(view.rows * view.columns for view in views)
         planes, bounds = np.empty((texels, body_map.PLANES), np.float32), np.empty((texels, 2), np.float32)
         flow = np.empty((texels if len(velocities) else 0, 9), np.float32)
@@ -101,7 +112,9 @@ class _View:
     filled: BoolArray
     first = 0
 
-    def __init__(self, maps: BodyMaps, axis: int, low: FloatArray, high: FloatArray) -> None:
+    def __init__(
+        self, maps: BodyMaps, axis: int, low: FloatArray, high: FloatArray, near: FloatArray | None = None
+    ) -> None:
         self.axis = axis
         self.axes = np.array([(axis + 1) % 3, (axis + 2) % 3, axis])
         across = (high - low)[self.axes[:2]]
@@ -110,7 +123,15 @@ class _View:
         border = math.ceil(maps.margin / self.pixel) + _LEAST_MARGIN_PIXELS
         self.columns, self.rows = (math.ceil(float(size) / self.pixel) + 2 * border for size in across)
         self.left, self.bottom = (float(low[k]) - border * self.pixel for k in self.axes[:2])
+        if near is not None:
+            self.left, self.columns = self._cut(self.left, self.columns, near[:, self.axes[0]])
+            self.bottom, self.rows = self._cut(self.bottom, self.rows, near[:, self.axes[1]])
         self.middle, self.eye = float(low[axis]), float(high[axis]) + 1.0
+
+    def _cut(self, start: float, count: int, wanted: FloatArray) -> tuple[float, int]:
+        """Start [m] and number of the texels that lie between two places; at least one, and the same texels as before."""
+        first, last = np.floor((wanted - start) / self.pixel).clip(0, count - 1).astype(int).tolist()
+        return start + first * self.pixel, last - first + 1
 
     @property
     def place(self) -> body_map.View:
@@ -133,28 +154,28 @@ class _View:
         """Fills the rows of this view."""
         layers = self._layers(maps)
         depths = np.empty((2, self.rows, self.columns), np.float32)
-        interpolate = maps.normals == "interpolated"
         body_map.planes_of_layers(
-            maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, interpolate, planes, depths, flow
+            maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, planes, depths, flow
         )
         self.filled = depths[0] > -np.inf
         reach = max(_BOUND_PIXELS, math.ceil(_BOUND / self.pixel))
         body_outline.depth_bounds(depths, flow, self.axis, dt, reach, np.empty_like(depths), bounds)
         surface = maps._surface
-        edge_count, texels = len(surface.edges), self.rows * self.columns
+        edge_count = len(surface.edges)
         chosen = np.empty(edge_count, np.int32)
         count = body_outline.outline_edges(
             maps.vertices, surface.faces, surface.face_edges, surface.edge_face_count, self.axes,
             np.empty(edge_count, np.int32), chosen,
         )  # fmt: skip
-        ends, nearest, owner = np.empty((count, 4)), np.empty(texels), np.empty(texels, np.int32)
+        lines, nearest = np.empty((count, 5)), np.empty((self.rows, self.columns))
+        owner = np.empty((self.rows, self.columns), np.int32)
         place = np.array([self.left, self.bottom, self.pixel])
         body_outline.nearest_outline(
             maps.vertices, surface.edges, chosen, count, place, self.axes, self.filled, maps.margin / self.pixel + 1.0,
-            ends, np.empty(count, np.bool_), nearest, owner,
+            lines, np.empty(count, np.bool_), nearest, owner,
         )  # fmt: skip
         body_outline.write_outline(
-            maps.vertices, velocities, surface.edges, chosen, place, self.axes, self.filled, ends, nearest, owner, origin,
+            maps.vertices, velocities, surface.edges, chosen, place, self.axes, self.filled, lines, owner, origin,
             planes, bounds, flow,
         )  # fmt: skip
 

@@ -74,17 +74,31 @@ def view_point(x, y, z, axis):
 
 
 @kernel
-def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, interpolate, planes, depths, flow):
+def extent(vertices, faces, box):
+    """Least and greatest x, y, z, box (2, 3), of the vertices (V, 3) that faces (F, 3) use [m]."""
+    box[0] = np.inf
+    box[1] = -np.inf
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            for c in range(3):
+                value = vertices[faces[f, k], c]
+                box[0, c] = min(box[0, c], value)
+                box[1, c] = max(box[1, c], value)
+
+
+@kernel
+def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, planes, depths, flow):
     """Tangent planes from what the rasteriser left: the point by barycentrics, and a normal.
 
     Args:
-        vertices, normals: (V, 3) float64.
+        vertices: (V, 3) float64 [m].
+        normals: (V, 3) of the vertices, or (0, 3): the faces' own instead of interpolated and renormalised ones, as the paper
+            has them.
         velocities: (V, 3) [m/s], or (0, 3): nothing moves.
         faces: (F, 3) int32.
         layers: two `raster.Layers`, row 0 at the top.
         frame: (3,) origin of the offsets [m].
         view: (3,) world axes of a, b, c.
-        interpolate: normals of the vertices interpolated and renormalised, as the paper has them; otherwise the face's own.
         planes: (rows * columns, 16) float32, of which front and back are written; row 0 at the bottom.
         depths: (2, rows, columns) float32, written: c - origin of the front and of the back [m]; -inf, inf = nothing.
         flow: (rows * columns, 9) float32, of which front and back are written, or (0, 9).
@@ -114,7 +128,7 @@ def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, 
                 wc = np.float64(layers.barycentrics[side, rows - 1 - row, column, 1])
                 wa = 1.0 - wb - wc
                 a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-                if interpolate:
+                if normals.shape[0] > 0:
                     for k in range(3):
                         normal[k] = wa * normals[a, k] + wb * normals[b, k] + wc * normals[c, k]
                 else:

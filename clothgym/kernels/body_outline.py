@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 from clothgym.kernels.body_map import DRIFT
 
 NOTHING = -1
@@ -51,59 +51,50 @@ def outline_edges(vertices, faces, face_edges, edge_face_count, view, seen, chos
     return count
 
 
-@device
-def _foot(a, b, ends, segment):
-    """Nearest point of a segment (a0, b0, a1, b1), its share along it, and the squared distance."""
-    da = ends[segment, 2] - ends[segment, 0]
-    db = ends[segment, 3] - ends[segment, 1]
-    length = da * da + db * db
-    share = 0.0
-    if length > 0.0:
-        share = min(1.0, max(0.0, ((a - ends[segment, 0]) * da + (b - ends[segment, 1]) * db) / length))
-    fa = ends[segment, 0] + share * da
-    fb = ends[segment, 1] + share * db
+@bare
+def _foot(a, b, lines, segment):
+    """Nearest point of a piece of the outline, its share along it, and the squared distance [texels]."""
+    a0, b0 = lines[segment, 0], lines[segment, 1]
+    da, db = lines[segment, 2], lines[segment, 3]
+    share = min(1.0, max(0.0, ((a - a0) * da + (b - b0) * db) * lines[segment, 4]))
+    fa = a0 + share * da
+    fb = b0 + share * db
     return fa, fb, share, (a - fa) * (a - fa) + (b - fb) * (b - fb)
 
 
-@device
-def _splat(ends, segment, filled, on_body, reach, nearest, owner):
-    """Tells the texels on the body, or beside it, within `reach` texels of a segment about it."""
+@bare
+def _splat(lines, segment, filled, on_body, reach, nearest, owner):
+    """Tells the texels on the body, or beside it, within `reach` texels of a piece about it."""
     rows, columns = filled.shape
-    low_a = min(ends[segment, 0], ends[segment, 2]) - reach
-    high_a = max(ends[segment, 0], ends[segment, 2]) + reach
-    low_b = min(ends[segment, 1], ends[segment, 3]) - reach
-    high_b = max(ends[segment, 1], ends[segment, 3]) + reach
-    for row in range(max(0, math.ceil(low_b - 0.5)), min(rows - 1, math.floor(high_b - 0.5)) + 1):
-        for column in range(max(0, math.ceil(low_a - 0.5)), min(columns - 1, math.floor(high_a - 0.5)) + 1):
+    a0, b0 = lines[segment, 0], lines[segment, 1]
+    a1, b1 = a0 + lines[segment, 2], b0 + lines[segment, 3]
+    first_row = max(0, math.ceil(min(b0, b1) - reach - 0.5))
+    last_row = min(rows - 1, math.floor(max(b0, b1) + reach - 0.5))
+    first_column = max(0, math.ceil(min(a0, a1) - reach - 0.5))
+    last_column = min(columns - 1, math.floor(max(a0, a1) + reach - 0.5))
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
             if filled[row, column] != on_body:
                 continue
-            _, _, _, square = _foot(column + 0.5, row + 0.5, ends, segment)
-            texel = row * columns + column
-            if square <= reach * reach and square < nearest[texel]:
-                nearest[texel] = square
-                owner[texel] = segment
+            _, _, _, square = _foot(column + 0.5, row + 0.5, lines, segment)
+            if square <= reach * reach and square < nearest[row, column]:
+                nearest[row, column] = square
+                owner[row, column] = segment
 
 
-@device
-def _hear(row, column, from_row, from_column, ends, filled, nearest, owner):
-    """A texel of the body hears of the piece of the outline that a neighbour knows."""
-    rows, columns = filled.shape
-    if from_row < 0 or from_row >= rows or from_column < 0 or from_column >= columns:
+@bare
+def _hear(row, column, segment, lines, nearest, owner):
+    """A texel of the body hears of a piece of the outline that a neighbour knows."""
+    if segment == NOTHING or segment == owner[row, column]:
         return
-    if not filled[from_row, from_column]:
-        return
-    segment = owner[from_row * columns + from_column]
-    texel = row * columns + column
-    if segment == NOTHING or segment == owner[texel]:
-        return
-    _, _, _, square = _foot(column + 0.5, row + 0.5, ends, segment)
-    if square < nearest[texel]:
-        nearest[texel] = square
-        owner[texel] = segment
+    _, _, _, square = _foot(column + 0.5, row + 0.5, lines, segment)
+    if square < nearest[row, column]:
+        nearest[row, column] = square
+        owner[row, column] = segment
 
 
 @kernel
-def nearest_outline(vertices, edges, chosen, count, place, view, filled, reach, ends, shown, nearest, owner):
+def nearest_outline(vertices, edges, chosen, count, place, view, filled, reach, lines, shown, nearest, owner):
     """The piece of the outline nearest to each texel beside the body, within reach, and to each on it.
 
     What is nearest to a point beside the body is always a piece of its outline; edges that the body hides are told from it
@@ -116,47 +107,54 @@ def nearest_outline(vertices, edges, chosen, count, place, view, filled, reach, 
         view: (3,) world axes of a, b, c.
         filled: (rows, columns) whether a texel lies on the body.
         reach: texels.
-        ends: (S, 4) float64, written: both ends of each piece [texels].
+        lines: (S, 5) float64, written: one end of each piece, the way to the other [texels], 1 / its squared length.
         shown: (S,) bool, written: pieces that something beside the body is nearest to.
-        nearest, owner: (rows * columns,) squared distance [texels^2] and number of the piece, -1 = none.
+        nearest, owner: (rows, columns) squared distance [texels^2] and number of the piece, -1 = none.
     """
     rows, columns = filled.shape
     nearest[:] = np.inf
     owner[:] = NOTHING
     for s in range(count):
         shown[s] = False
-        for n in range(2):
-            v = edges[chosen[s], n]
-            ends[s, 2 * n] = (vertices[v, view[0]] - place[0]) / place[2]
-            ends[s, 2 * n + 1] = (vertices[v, view[1]] - place[1]) / place[2]
-        _splat(ends, s, filled, False, reach, nearest, owner)
-    for texel in range(rows * columns):
-        if owner[texel] != NOTHING:
-            shown[owner[texel]] = True
-    for s in range(count):
-        if shown[s]:
-            _splat(ends, s, filled, True, _SEED_PIXELS, nearest, owner)
+        i, j = edges[chosen[s], 0], edges[chosen[s], 1]
+        lines[s, 0] = (vertices[i, view[0]] - place[0]) / place[2]
+        lines[s, 1] = (vertices[i, view[1]] - place[1]) / place[2]
+        lines[s, 2] = (vertices[j, view[0]] - vertices[i, view[0]]) / place[2]
+        lines[s, 3] = (vertices[j, view[1]] - vertices[i, view[1]]) / place[2]
+        length = lines[s, 2] * lines[s, 2] + lines[s, 3] * lines[s, 3]
+        lines[s, 4] = 1.0 / length if length > 0.0 else 0.0
+        _splat(lines, s, filled, False, reach, nearest, owner)
     for row in range(rows):
         for column in range(columns):
+            if owner[row, column] != NOTHING:
+                shown[owner[row, column]] = True
+    for s in range(count):
+        if shown[s]:
+            _splat(lines, s, filled, True, _SEED_PIXELS, nearest, owner)
+    # the body never touches the border of the map; texels beside it are heard too, they know of the nearest pieces
+    for row in range(1, rows - 1):
+        for column in range(1, columns - 1):
             if filled[row, column]:
-                for step in range(-1, 2):
-                    _hear(row, column, row - 1, column + step, ends, filled, nearest, owner)
-                _hear(row, column, row, column - 1, ends, filled, nearest, owner)
-        for column in range(columns - 1, -1, -1):
+                _hear(row, column, owner[row - 1, column - 1], lines, nearest, owner)
+                _hear(row, column, owner[row - 1, column], lines, nearest, owner)
+                _hear(row, column, owner[row - 1, column + 1], lines, nearest, owner)
+                _hear(row, column, owner[row, column - 1], lines, nearest, owner)
+        for column in range(columns - 2, 0, -1):
             if filled[row, column]:
-                _hear(row, column, row, column + 1, ends, filled, nearest, owner)
-    for row in range(rows - 1, -1, -1):
-        for column in range(columns - 1, -1, -1):
+                _hear(row, column, owner[row, column + 1], lines, nearest, owner)
+    for row in range(rows - 2, 0, -1):
+        for column in range(columns - 2, 0, -1):
             if filled[row, column]:
-                for step in range(-1, 2):
-                    _hear(row, column, row + 1, column + step, ends, filled, nearest, owner)
-                _hear(row, column, row, column + 1, ends, filled, nearest, owner)
-        for column in range(columns):
+                _hear(row, column, owner[row + 1, column - 1], lines, nearest, owner)
+                _hear(row, column, owner[row + 1, column], lines, nearest, owner)
+                _hear(row, column, owner[row + 1, column + 1], lines, nearest, owner)
+                _hear(row, column, owner[row, column + 1], lines, nearest, owner)
+        for column in range(1, columns - 1):
             if filled[row, column]:
-                _hear(row, column, row, column - 1, ends, filled, nearest, owner)
+                _hear(row, column, owner[row, column - 1], lines, nearest, owner)
 
 
-@device
+@bare
 def _texel_to_copy(row, column, fa, fb, filled):
     """The texel of the body nearest to one beside it, of those around the foot on its outline; -1: none."""
     rows, columns = filled.shape
@@ -173,9 +171,7 @@ def _texel_to_copy(row, column, fa, fb, filled):
 
 
 @kernel
-def write_outline(
-    vertices, velocities, edges, chosen, place, view, filled, ends, nearest, owner, frame, planes, bounds, flow
-):
+def write_outline(vertices, velocities, edges, chosen, place, view, filled, lines, owner, frame, planes, bounds, flow):
     """Writes the outline's planes, and front, back and bounds of the texels beside the body.
 
     Args:
@@ -197,10 +193,10 @@ def write_outline(
             if flow.shape[0] > 0:
                 for c in range(6, 9):
                     flow[texel, c] = 0.0
-            segment = owner[texel]
+            segment = owner[row, column]
             if segment == NOTHING:
                 continue
-            fa, fb, share, square = _foot(column + 0.5, row + 0.5, ends, segment)
+            fa, fb, share, square = _foot(column + 0.5, row + 0.5, lines, segment)
             if not filled[row, column]:
                 source = _texel_to_copy(row, column, fa, fb, filled)
                 if source < 0:

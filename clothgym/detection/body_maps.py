@@ -17,6 +17,8 @@ from clothgym.mesh import Surface
 VIEWS = ("x", "y", "z")
 """Axes along which a pair of views may look."""
 
+_COLOUR_LEVELS = 127.5
+"""A byte of a colour holds twice as many."""
 _LEAST_MARGIN_PIXELS = 2
 _MOST_MARGIN_PIXELS = 100
 """Texels of small bodies are no finer than this part of the margin: it would fill the memory."""
@@ -45,7 +47,7 @@ class BodyMaps:
         bodies: at least one.
         map_size: texels along the longer side of the bodies' extent across the view.
         margin: [m] how far beside the body it is felt; at least the tolerance plus what a point may sink in a substep.
-        normals: "face" or "interpolated", see `Fidelity.body_normals`.
+        normals: "face", "interpolated" or "bytes", see `Fidelity.body_normals`.
         views: axes of the pairs, of `VIEWS`.
     """
 
@@ -81,7 +83,7 @@ class BodyMaps:
             velocities = (self.vertices - as_points(before, "before", len(self.vertices))) / dt
         low, high = box = np.empty((2, 3))
         body_map.extent(self.vertices, self.faces, box)
-        normals = np.empty((len(self.vertices) if self.normals == "interpolated" else 0, 3))
+        normals = np.empty((0 if self.normals == "face" else len(self.vertices), 3))
         if len(normals):
             raster.vertex_normals(self.vertices, self.faces, normals)
         views = [_View(self, VIEWS.index(axis), low, high, near) for axis in self.views]
@@ -154,8 +156,9 @@ class _View:
         """Fills the rows of this view."""
         layers = self._layers(maps)
         depths = np.empty((2, self.rows, self.columns), np.float32)
+        levels = _COLOUR_LEVELS if maps.normals == "bytes" else 0.0
         body_map.planes_of_layers(
-            maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, planes, depths, flow
+            maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, levels, planes, depths, flow
         )
         self.filled = depths[0] > -np.inf
         reach = max(_BOUND_PIXELS, math.ceil(_BOUND / self.pixel))

@@ -87,7 +87,7 @@ def extent(vertices, faces, box):
 
 
 @kernel
-def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, planes, depths, flow):
+def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, levels, planes, depths, flow):
     """Tangent planes from what the rasteriser left: the point by barycentrics, and a normal.
 
     Args:
@@ -100,6 +100,7 @@ def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, 
         frame: (3,) origin of the offsets [m].
         view: (3,) world axes of a, b, c.
         planes: (rows * columns, 16) float32, of which front and back are written; row 0 at the bottom.
+        levels: 0, or that components of normals are rounded to 1 / levels, as colours of [Vassilev 2001, eq. 6 and 7] do.
         depths: (2, rows, columns) float32, written: c - origin of the front and of the back [m]; -inf, inf = nothing.
         flow: (rows * columns, 9) float32, of which front and back are written, or (0, 9).
     """
@@ -133,6 +134,12 @@ def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, 
                         normal[k] = wa * normals[a, k] + wb * normals[b, k] + wc * normals[c, k]
                 else:
                     normal[0], normal[1], normal[2] = face_normal(vertices, faces, face)
+                if levels > 0:
+                    size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+                    for k in range(3):
+                        # 0 to 2 levels stand for -1 to 1
+                        colour = math.floor(levels * (normal[k] / max(size, 1e-300) + 1.0) + 0.5)
+                        normal[k] = colour / levels - 1.0
                 # what is seen faces the view; interpolated normals at the outline may not
                 normal[along] = outwards * max(0.0, outwards * normal[along])
                 size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])

@@ -28,7 +28,8 @@ def test_planes_beat_depth_along_the_view_and_views_empty_what_is_not_filled(row
     planes, two, paper = (r["result"] for r in rows[2:])
     assert planes["shell_missed"] < 0.01 < 0.04 < paper["shell_missed"]
     assert planes["error_median"] < 1e-4 < paper["error_median"]
-    assert planes["deep_missed"] == two["deep_missed"] == 0.0
+    assert planes["deep_missed"] == 0.0
+    assert two["deep_missed"] < 0.005, "what one pair of coarse views has by a texel, the other may not"
     assert two["filled"] < 0.5 * planes["filled"]
     assert planes["boxes_error"] < 1e-6, "the object-space collider is exact"
 

@@ -1,0 +1,159 @@
+"""Quad meshes of flat panels: the rectangular topology of [Vassilev 2001], whose patches are grids of columns and rows.
+
+A panel gets four sides: the runs of its edges between four of its corners. Opposite sides have equally many pieces, so do
+the two edges of a seam; the whole numbers of pieces that come nearest to a wanted length are an integer programme (scipy's
+HiGHS). The inside is a Coons patch of the four sides, smoothed where lines of the grid would cross.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from clothgym.arrays import FloatArray, check_number
+from clothgym.panel_mesh import PanelMesh
+from clothgym.pattern import Panel, Pattern
+
+_SMOOTHING = 30
+_MOST_VERTICES = 40
+"""Of a panel: all fours of them are looked at."""
+
+
+def panel_sides(panel: Panel) -> tuple[tuple[int, ...], ...]:
+    """The edges of the four sides of a panel, in the order of its loop; the first side lies lowest in the panel.
+
+    The corners are the four vertices that enclose the largest area.
+
+    Raises:
+        ValueError: a panel with fewer than four vertices, or too many.
+    """
+    count = len(panel.edges)
+    if not 4 <= count <= _MOST_VERTICES:
+        raise ValueError(f"panel {panel.name!r}: {count} edges: quads need 4 to {_MOST_VERTICES}; triangles mesh it")
+    loop = panel.vertices[[edge.endpoints[0] for edge in panel.edges]]
+    fours = np.array(list(combinations(range(count), 4)))
+    a, b, c, d = (loop[fours[:, k]] for k in range(4))
+    one, two = c - a, d - b
+    area = 0.5 * np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    # the first of those that are largest but for rounding
+    corners = fours[int(np.argmax(area >= (1.0 - 1e-9) * area.max()))].tolist()
+    runs = [
+        tuple(k % count for k in range(start, end if end > start else end + count))
+        for start, end in pairwise([*corners, corners[0]])
+    ]
+    lowest = int(np.argmin([loop[run[0]][1] + loop[(run[-1] + 1) % count][1] for run in runs]))
+    return tuple(runs[(lowest + k) % 4] for k in range(4))
+
+
+def mesh_quads(pattern: Pattern, edge_length: float = 0.02, grid: tuple[int, int] | None = None) -> list[PanelMesh]:
+    """Meshes all panels of a pattern with quads whose counts agree along seams.
+
+    Args:
+        pattern: the panels and their seams.
+        edge_length: wanted length of the quads' sides [m].
+        grid: (columns, rows) of vertices that every panel shall have, along its lowest side and up; default: as the
+            length asks for.
+
+    Raises:
+        ValueError: names the panel that has no four sides or is too bent for a grid, or says that no numbers of pieces fit
+            all seams.
+    """
+    check_number(edge_length, "edge_length", 1e-4, 10.0)
+    if grid is not None:
+        for value, name in zip(grid, ("columns", "rows"), strict=True):
+            check_number(value, f"grid: {name}", 2, 1000, integer=True)
+    sides = [panel_sides(panel) for panel in pattern.panels]
+    counts = _pieces(pattern, sides, edge_length, grid)
+    return [_patch(panel, side, count) for panel, side, count in zip(pattern.panels, sides, counts)]
+
+
+def _pieces(
+    pattern: Pattern, sides: Sequence[tuple[tuple[int, ...], ...]], h: float, grid: tuple[int, int] | None
+) -> list[list[int]]:
+    """For each panel the pieces of each edge: nearest to lengths over h, equal on opposite sides and along seams."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    number = {panel.name: n for n, panel in enumerate(pattern.panels)}
+    starts = np.cumsum([0, *(len(panel.edges) for panel in pattern.panels)])
+    count = int(starts[-1])
+    wanted = np.concatenate([[p.length(k) / h for k in range(len(p.edges))] for p in pattern.panels])
+    rows: list[FloatArray] = []
+    sums: list[float] = []
+
+    def demand(plus: Sequence[int], minus: Sequence[int], total: float = 0.0) -> None:
+        row = np.zeros(2 * count)
+        row[list(plus)] += 1.0
+        row[list(minus)] -= 1.0
+        rows.append(row)
+        sums.append(total)
+
+    for n, four in enumerate(sides):
+        ids = [[int(starts[n]) + k for k in side] for side in four]
+        for k in range(2):
+            demand(ids[k], ids[k + 2])
+            if grid is not None:
+                demand(ids[k], (), grid[k] - 1)
+    for seam in pattern.seams:
+        a, b = starts[number[seam.panel_a]] + seam.edge_a, starts[number[seam.panel_b]] + seam.edge_b
+        demand((int(a),), (int(b),))
+    # the second half of the unknowns bounds how far the first is off
+    eye = np.eye(count)
+    equal = LinearConstraint(np.array(rows), sums, sums)
+    above = LinearConstraint(np.hstack([eye, -eye]), -np.inf, wanted)
+    below = LinearConstraint(np.hstack([eye, eye]), wanted, np.inf)
+    bounds = Bounds(np.concatenate([np.ones(count), np.zeros(count)]), np.inf)
+    whole = np.concatenate([np.ones(count), np.zeros(count)])
+    # what is shorter may be off by fewer pieces
+    cost = np.concatenate([np.zeros(count), 1.0 / np.maximum(wanted, 1.0)])
+    found = milp(cost, constraints=[equal, above, below], bounds=bounds, integrality=whole)
+    if found.x is None:
+        size = f"grid = {grid}" if grid is not None else f"edge_length = {h:g}"
+        raise ValueError(
+            f"pattern {pattern.name!r}: no numbers of rows and columns fit all of its seams ({size}); triangles mesh it"
+        )
+    pieces = np.rint(found.x[:count]).astype(int)
+    return [pieces[a:b].tolist() for a, b in pairwise(starts)]
+
+
+def _patch(panel: Panel, sides: tuple[tuple[int, ...], ...], counts: Sequence[int]) -> PanelMesh:
+    """The grid of one panel: border in the order of the loop first, then the inside."""
+    border = np.concatenate([panel.sample(k, count)[:-1] for k, count in enumerate(counts)])
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    total = len(border)
+    edge_vertices = tuple((np.arange(a, b + 1) % total).astype(np.int32) for a, b in pairwise(starts))
+    lines = [np.concatenate([edge_vertices[side[0]][:1], *(edge_vertices[k][1:] for k in side)]) for side in sides]
+    bottom, right, top, left = lines[0], lines[1], lines[2][::-1], lines[3][::-1]
+    columns, rows = len(bottom), len(right)
+    ids = np.full((columns, rows), -1, np.int32)
+    ids[:, 0], ids[-1], ids[:, -1], ids[0] = bottom, right, top, left
+    inner = ids < 0
+    ids[inner] = total + np.arange(int(inner.sum()))
+    place = _coons(border[bottom], border[right], border[top], border[left])
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    c, r = np.meshgrid(np.arange(columns - 1), np.arange(rows - 1), indexing="ij")
+    even = ((c + r) % 2 == 0).ravel()[:, None]
+    first = np.where(even, quads[:, [0, 1, 2]], quads[:, [0, 1, 3]])
+    second = np.where(even, quads[:, [0, 2, 3]], quads[:, [1, 2, 3]])
+    faces = np.ascontiguousarray(np.stack([first, second], axis=1).reshape(-1, 3))
+    sign = 1.0 if panel.signed_area > 0.0 else -1.0
+    for _ in range(_SMOOTHING + 1):
+        points = np.concatenate([border, place[inner]])
+        u, w = points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
+        area = sign * (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0])
+        if (area > 0.0).all():
+            return PanelMesh(points, faces, edge_vertices, np.ascontiguousarray(quads))
+        place[1:-1, 1:-1] = 0.25 * (place[2:, 1:-1] + place[:-2, 1:-1] + place[1:-1, 2:] + place[1:-1, :-2])
+    raise ValueError(f"panel {panel.name!r}: too bent for a grid of {columns} x {rows} vertices; triangles mesh it")
+
+
+def _coons(bottom: FloatArray, right: FloatArray, top: FloatArray, left: FloatArray) -> FloatArray:
+    """(columns, rows, 2) points between four sides [Coons 1967]."""
+    s, t = (np.linspace(0.0, 1.0, len(line)) for line in (bottom, right))
+    s, t = s[:, None, None], t[None, :, None]
+    along = (1.0 - t) * bottom[:, None] + t * top[:, None]
+    across = (1.0 - s) * left[None] + s * right[None]
+    corners = (1.0 - s) * ((1.0 - t) * bottom[0] + t * top[0]) + s * ((1.0 - t) * bottom[-1] + t * top[-1])
+    return np.asarray(along + across - corners)
+

@@ -9,6 +9,7 @@ Welding comes before sewing: every vertex of a seam stands in the middle of its 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -64,6 +65,15 @@ class Garment:
     welded: tuple[IntArray, ...]
     seam_gap: float
     quads: IntArray | None = None
+
+    def moved(self, shift: tuple[float, float, float]) -> Garment:
+        """The same garment placed elsewhere [m]."""
+        way = np.asarray(shift, float)
+        return dataclasses.replace(
+            self,
+            vertices=read_only(self.vertices + way),
+            panel_vertices=tuple(read_only(place + way) for place in self.panel_vertices),
+        )
 
 
 def assemble(

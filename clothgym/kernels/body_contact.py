@@ -24,7 +24,7 @@ from clothgym.kernels.integrate import (
 )
 
 _LEEWAY = 4e-3
-"""[m] faces whose points are further from the body than this when a substep begins are left alone in its sweeps."""
+"""[m] faces whose points are further from the body than this are left alone, until a vertex may have come half as far."""
 
 
 class BodyContact(NamedTuple):
@@ -39,7 +39,8 @@ class BodyContact(NamedTuple):
     rebound: float  # C_refl of eq. 12
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
-    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body in this substep, and which
+    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body, and which
+    travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
     side: NDArray  # (V,) int8 side of the body at the start of the substep
     normal: NDArray  # (V, 3) normal of the last contact
     pressed: NDArray  # (V,) sum of corrections along the normal [m], 0 = no contact
@@ -53,19 +54,25 @@ class BodyContact(NamedTuple):
 @device
 def begin_contact(x, p, contact):
     """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
+    longest = 0.0
     for i in range(x.shape[0]):
         contact.pressed[i] = 0.0
         for c in range(3):
             contact.dragged[i, c] = 0.0
             contact.moved[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
+        way = contact.approach[i]
+        longest = max(longest, way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
         contact.side[i] = side_of(x[i, 0], x[i, 1], x[i, 2], contact.map)
-    _find_near_faces(p, contact)
+    contact.travel[0] += math.sqrt(longest)
+    if contact.travel[0] > 0.5 * _LEEWAY:
+        _find_near_faces(p, contact)
+        contact.travel[0] = 0.0
 
 
 @device
 def _find_near_faces(p, contact):
-    """Faces with a point near the body on the way to p: most of a garment hangs free, and its sweeps need not look."""
+    """Faces with a point near the body at p: most of a garment hangs free, and its sweeps need not look."""
     points = contact.face_points
     count = 0
     for f in range(contact.faces.shape[0] if points.shape[0] > 0 else 0):

@@ -57,6 +57,7 @@ def body_contact(
         faces=np.ascontiguousarray(faces, np.int32),
         face_points=face_points(face_parts),
         near_faces=np.zeros(1 + len(faces), np.int32),
+        travel=np.full(1, np.inf),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),
@@ -94,6 +95,7 @@ class BodyResponse:
     def begin(self, frame: Frame) -> BodyContact:
         """Ready for a step; its forces are the frame's `body_forces` from now on."""
         self._contact.forces[:] = 0.0
+        self._contact.travel[0] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
         return self._contact
 

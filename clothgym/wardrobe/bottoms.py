@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from clothgym.pattern import Pattern
@@ -10,11 +12,18 @@ from clothgym.wardrobe.outline import Draft, Outline
 
 CLEARANCE = 0.04
 """[m] panels stand this far in front of the trunk and behind it."""
-WAIST_EASE, HIP_EASE, THIGH_EASE = 1.02, 1.07, 1.12
+WAIST_EASE, HIP_EASE, THIGH_EASE = 1.02, 1.06, 1.12
+_OFF_SKIN = 4e-3
+"""[m] cloth lies this far from the skin."""
 _FLARE = 1.32
 """Hem of a skirt over the hips."""
-_CROTCH_DROP = 0.02
+_CROTCH_DROP = 0.035
 """[m] trousers hang this far below the crotch before they are drawn up."""
+
+
+def quarter(girth: float, ease: float) -> float:
+    """A quarter of a tube around a girth [m]: half the width of a front."""
+    return 0.25 * ease * (girth + 2.0 * math.pi * _OFF_SKIN)
 
 
 def depths(s: Sizes) -> tuple[float, float, float]:
@@ -26,7 +35,7 @@ def depths(s: Sizes) -> tuple[float, float, float]:
 
 def skirt(s: Sizes) -> Pattern:
     """Front and back, from the waist over the hips to the knees, flared."""
-    waist, hip, hem = WAIST_EASE * s.waist_girth / 4, HIP_EASE * s.hip_girth / 4, _FLARE * s.hip_girth / 4
+    waist, hip, hem = quarter(s.waist_girth, WAIST_EASE), quarter(s.hip_girth, HIP_EASE), quarter(s.hip_girth, _FLARE)
     top, middle, low = s.waist_height, s.hip_height + 0.03 * s.height, s.knee_height + 0.01 * s.height
     bulge = (hip + 0.004 * s.height, middle + 0.45 * (top - middle))
     front = Outline.of(
@@ -49,14 +58,15 @@ def _front_and_back(name: str, front: Outline, s: Sizes, seams: tuple[str, ...])
 
 def _legs(name: str, s: Sizes, hem: float, hem_width: float) -> Pattern:
     """Four panels, a front and a back for each leg, down to a height; widths are those of one panel [m]."""
-    waist, hip = 1.03 * s.waist_girth / 4, HIP_EASE * s.hip_girth / 4
-    thigh = THIGH_EASE * s.thigh_girth / 2
+    waist, hip = quarter(s.waist_girth, WAIST_EASE + 0.04), quarter(s.hip_girth, HIP_EASE)
+    thigh = 2.0 * quarter(s.thigh_girth, THIGH_EASE)
     top, level, crotch = s.waist_height, s.hip_height + 0.03 * s.height, s.crotch_height - _CROTCH_DROP
     reach = max(thigh - hip, 0.02 * s.height)  # from the middle of the body to the inseam
     # both legs move apart by it, or they would start in each other
     axis = np.interp(hem, s.leg_axis[::-1, 1], s.leg_axis[::-1, 0] - s.centre)
-    inner, outer = axis - 0.5 * hem_width, axis + 0.5 * hem_width
     apart = reach + 0.004 * s.height
+    inner = max(axis - 0.5 * hem_width, apart - reach + 0.01 * s.height)
+    outer = inner + hem_width
     front = Outline.of(
         (inner, hem), "hem", (outer, hem),
         ("outseam", (hip + apart, crotch - 0.3 * (crotch - hem))), (hip + apart, level),

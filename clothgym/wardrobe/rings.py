@@ -53,7 +53,8 @@ def sleeve(s: Sizes) -> Pattern:
 
 def scarf(s: Sizes) -> Pattern:
     """A closed scarf that lies on the shoulders around the neck."""
-    half, low, high = 0.8 * s.neck_girth / 2, s.neck_height, s.neck_height + 0.1 * s.height
+    half, low = 0.92 * s.neck_girth / 2, s.neck_height - 0.015 * s.height
+    high = low + 0.09 * s.height
     front = Outline.of((-half, low), "hem", (half, low), "side_left", (half, high), "top", (-half, high), "side_right")
     away = max(s.front - s.ridge, s.ridge - s.back) + CLEARANCE
     draft = Draft()

@@ -10,7 +10,7 @@ import numpy as np
 from clothgym.arrays import FloatArray
 from clothgym.pattern import Pattern
 from clothgym.sizes import Arm, Sizes
-from clothgym.wardrobe.bottoms import CLEARANCE, HIP_EASE
+from clothgym.wardrobe.bottoms import CLEARANCE, HIP_EASE, quarter
 from clothgym.wardrobe.outline import Draft, Outline, Point
 
 _ABOVE_SHOULDERS = 0.02
@@ -62,7 +62,7 @@ def _neckline(x: float, y: float, drop: float) -> tuple[Point, Point]:
 
 def _body(s: Sizes, cut: _Cut, back: bool) -> Outline:
     """Front of a top, or its back seen from the front."""
-    half = cut.bust_ease * s.bust_girth / 4
+    half = quarter(s.bust_girth, cut.bust_ease)
     armpit = _armpit(s, half)
     tip_x, neck_x = cut.tip * s.shoulder_half, s.neck_half + cut.neck
     tip, neck = (tip_x, _shoulder_line(s, tip_x)), (neck_x, _shoulder_line(s, neck_x))
@@ -75,7 +75,7 @@ def _body(s: Sizes, cut: _Cut, back: bool) -> Outline:
     corners: list[Point] = [(cut.hem_half, cut.hem)]
     labels: list[object] = []
     if cut.fitted:
-        hip, waist = HIP_EASE * s.hip_girth / 4, 1.1 * s.waist_girth / 4
+        hip, waist = quarter(s.hip_girth, HIP_EASE), quarter(s.waist_girth, 1.15)
         level = s.hip_height + 0.03 * s.height
         corners += [(hip, level), (waist, s.waist_height)]
         labels += ["skirt", ("hip", (hip, level + 0.55 * (s.waist_height - level))), "side"]
@@ -161,14 +161,16 @@ def _with_sleeves(name: str, s: Sizes, cut: _Cut, share: float, cuff_ease: float
 
 def sleeveless_shirt(s: Sizes) -> Pattern:
     """To the hips, with wide armholes."""
-    cut = _Cut(s.hip_height + 0.02 * s.height, 1.08 * s.hip_girth / 4, 1.0, 0.022, 0.06 * s.height, 0.015 * s.height)
+    cut = _Cut(
+        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.05), 1.0, 0.022, 0.06 * s.height, 0.015 * s.height
+    )
     return _sewn_body(s, cut).pattern("sleeveless_shirt")
 
 
 def vest(s: Sizes) -> Pattern:
     """To the hips, with narrow straps and a deep neckline."""
     cut = _Cut(
-        s.hip_height + 0.02 * s.height, 1.06 * s.hip_girth / 4, 0.84, 0.018, 0.095 * s.height, 0.05 * s.height, 1.05
+        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.04), 0.84, 0.018, 0.095 * s.height, 0.05 * s.height, 1.05
     )
     return _sewn_body(s, cut).pattern("vest")
 
@@ -177,7 +179,7 @@ def dress(s: Sizes) -> Pattern:
     """To the knees, taken in at the waist."""
     cut = _Cut(
         s.knee_height + 0.01 * s.height,
-        1.4 * s.hip_girth / 4,
+        quarter(s.hip_girth, 1.36),
         0.98,
         0.022,
         0.065 * s.height,
@@ -189,13 +191,15 @@ def dress(s: Sizes) -> Pattern:
 
 def t_shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the elbows."""
-    cut = _Cut(s.hip_height + 0.02 * s.height, 1.1 * s.hip_girth / 4, 1.04, 0.012, 0.05 * s.height, 0.012 * s.height)
+    cut = _Cut(
+        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.08), 1.04, 0.012, 0.05 * s.height, 0.012 * s.height
+    )
     return _with_sleeves("t_shirt", s, cut, 0.42, 1.45)
 
 
 def shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the wrists."""
-    cut = _Cut(s.hip_height, 1.1 * s.hip_girth / 4, 1.04, 0.01, 0.045 * s.height, 0.012 * s.height)
+    cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), 1.04, 0.01, 0.045 * s.height, 0.012 * s.height)
     return _with_sleeves("shirt", s, cut, 0.97, 1.6)
 
 

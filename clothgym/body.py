@@ -20,6 +20,7 @@ import numpy as np
 from clothgym import rig
 from clothgym.arrays import BoolArray, FloatArray, IntArray, as_faces, as_points, check_choice, check_number, read_only
 from clothgym.mesh import Mesh, Surface, copied, face_areas
+from clothgym.motion import Motion
 from clothgym.rig import Limb
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -43,6 +44,7 @@ class Body:
             where `Fidelity.body_response` is "velocity".
         rebound: C_refl of eq. 12, the share of the approaching speed that a contact gives back, 0 to 1.
         limbs: paths that tell whether a garment is worn; a body of the package has its own.
+        motion: where its vertices are in time; None = it stands still. The mesh is what it starts from.
         notes: one line each: what was found and done while reading, added to by what is found here.
 
     Raises:
@@ -56,6 +58,7 @@ class Body:
     rebound: float = 0.0
     limbs: tuple[Limb, ...] = ()
     notes: tuple[str, ...] = ()
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         label = f"body {self.name!r}"
@@ -76,6 +79,8 @@ class Body:
         for number, limb in enumerate(limbs):
             if not isinstance(limb, Limb):
                 raise ValueError(f"{label}: limbs[{number}] = {type(limb).__name__}: expected a Limb")
+        if self.motion is not None and (count := self.motion.frames.shape[1]) != len(points):
+            raise ValueError(f"{label}: motion: frames of {count} vertices, the mesh has {len(points)}")
         triangles, found = _examined(points, triangles, label)
         notes = dict.fromkeys([*self.notes, *(f"{self.name}: {note}" for note in found)])
         object.__setattr__(self, "mesh", Mesh(read_only(points), read_only(triangles)))
@@ -92,17 +97,20 @@ class Body:
             "slide": self.slide,
             "rebound": self.rebound,
             "limbs": [limb.to_json() for limb in self.limbs],
+            "motion": None if self.motion is None else self.motion.to_json(),
         }
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Body:
         """Raises ValueError for missing or unknown fields, by name."""
-        known = {"name", "vertices", "faces", "friction", "slide", "rebound", "limbs"}
+        known = {"name", "vertices", "faces", "friction", "slide", "rebound", "limbs", "motion"}
+        values = {"motion": None, **values}  # scenes of before bodies moved
         if wrong := set(values) ^ known:
             raise ValueError(f"body.{min(wrong)}: unknown or missing field; expected {', '.join(sorted(known))}")
         limbs = tuple(Limb.from_json(limb) for limb in values["limbs"])
         mesh = values["vertices"], values["faces"]
-        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs)
+        motion = None if values["motion"] is None else Motion.from_json(values["motion"])
+        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs, motion=motion)
 
 
 def joined(bodies: Sequence[Body]) -> tuple[FloatArray, IntArray]:
@@ -110,6 +118,11 @@ def joined(bodies: Sequence[Body]) -> tuple[FloatArray, IntArray]:
     starts = np.cumsum([0, *(len(body.mesh.vertices) for body in bodies)])
     faces = [body.mesh.faces + np.int32(start) for body, start in zip(bodies, starts)]
     return np.concatenate([body.mesh.vertices for body in bodies]), np.concatenate(faces)
+
+
+def joined_at(bodies: Sequence[Body], time: float) -> FloatArray:
+    """Vertices (V, 3) [m] of all bodies together at a time [s]."""
+    return np.concatenate([b.mesh.vertices if b.motion is None else b.motion.at(time) for b in bodies])
 
 
 def load(

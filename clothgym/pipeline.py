@@ -73,6 +73,10 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         from clothgym.response.body import BodyResponse
 
         body = BodyResponse(model, fidelity)
+        if any(b.motion is not None for b in scene.bodies):
+            from clothgym.stages.bodies import MoveBodies
+
+            stages.append(MoveBodies(scene, body))
     if not scene.self_collision:
         stages.append(IntegrateOnBody(step, body, windy) if body else Integrate(step, windy))
         return Pipeline(tuple(stages), step.substeps, step.dt)

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clothgym.arrays import FloatArray, IntArray, as_points, check_choice, read_only
+from clothgym.motion import Motion
 
 NAMES = ("female", "male")
 ARM_BONES = ("upperarm", "lowerarm", "hand", "thumb", "index", "middle", "ring", "pinky")
@@ -151,6 +152,46 @@ class Rig:
                 self._turn(local, f"upperarm_{side}", _quaternion((0.35 * swing, 0.0, 0.0)))
                 self._turn(local, f"lowerarm_{side}", _quaternion((-0.25, 0.0, 0.0)))
         return local
+
+    def blended(self, one: str, two: str, share: float) -> dict[str, FloatArray]:
+        """Rotations between two named poses: 0 gives the first, 1 the second; the short way, bone by bone.
+
+        Raises:
+            ValueError: no such pose.
+        """
+        a, b = self.rotations(one), self.rotations(two)
+        still = np.array([1.0, 0.0, 0.0, 0.0])
+        mixed = {}
+        for bone in sorted({*a, *b}):
+            p, q = a.get(bone, still), b.get(bone, still)
+            q = -q if float(p @ q) < 0.0 else q
+            sum_ = (1.0 - share) * p + share * q
+            mixed[bone] = sum_ / np.linalg.norm(sum_)
+        return mixed
+
+    def walk(self, start: str = "rest", stride: float = 1.2, rise: float = 1.0, rate: float = 60.0) -> Motion:
+        """From a pose into a walk on the spot that goes on for ever.
+
+        Args:
+            start: pose at time 0.
+            stride: time of two steps [s].
+            rise: time in which the pose turns into the walk, whose strides begin at once but small [s].
+            rate: frames in a second [1/s].
+
+        Raises:
+            ValueError: no such pose.
+        """
+        ready, cycle = round(rise * rate), round(stride * rate)
+
+        def phase(n: int) -> str:
+            return f"walk:{((n - ready) / cycle) % 1.0!r}"
+
+        def smooth(share: float) -> float:
+            return share * share * (3.0 - 2.0 * share)
+
+        frames = [self.posed(self.blended(start, phase(n), smooth(n / ready))) for n in range(ready)]
+        frames += [self.posed(phase(n)) for n in range(ready, ready + cycle)]
+        return Motion(np.array(frames, np.float32), rate, ready)
 
     def _orientation(self, local: Mapping[str, FloatArray], bone: int) -> FloatArray:
         """Quaternion that takes a bone from rest to its pose."""

@@ -164,7 +164,7 @@ class Scene:
 
     Attributes:
         cloths: at least one.
-        bodies: what the cloth lies on; they do not move.
+        bodies: what the cloth lies on; those with a motion move.
         ground: height of a horizontal plane [m], None = none.
         gravity: [m/s^2].
         wind: velocity of the air [m/s]; wind_drag: force per area and speed across the cloth [N s/m^3].

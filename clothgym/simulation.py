@@ -158,7 +158,7 @@ class Simulation:
 
     @property
     def body_mesh(self) -> Any:
-        """The bodies' true surface, a `detection.body_mesh.BodyMesh`: exact distances, for measuring.
+        """The bodies' true surface now, a `detection.body_mesh.BodyMesh`: exact distances, for measuring.
 
         Raises:
             ValueError: the scene has no bodies.
@@ -170,6 +170,10 @@ class Simulation:
             from clothgym.detection.body_mesh import BodyMesh
 
             self._body_mesh = BodyMesh(*joined(self.scene.bodies))
+        if any(body.motion is not None for body in self.scene.bodies):
+            from clothgym.body import joined_at
+
+            self._body_mesh.move(joined_at(self.scene.bodies, self.time))
         return self._body_mesh
 
     def penetration_depth(self) -> float:

@@ -16,7 +16,7 @@ from clothgym.arrays import FloatArray, IntArray
 from clothgym.body import Body
 from clothgym.rig import heights_above, hull_of
 
-_STEP = 0.005
+_STEP = 0.01
 _NECK = (0.835, 0.92)
 _SHOULDER_SHARE = 0.1
 """Shoulder joints of a body without a skeleton are this share of its height beside the middle, and"""

@@ -48,7 +48,7 @@ REST_MEAN, REST_P99 = 0.004, 0.02
 
 _ROUGH = {"substeps": 16, "sweeps": 1, "body_faces": 1}
 """A garment first falls into place at this effort, without self-collision; then it comes to rest as the fidelity promises."""
-_FACE_POINT = 0.012
+_FACE_POINT = 0.01
 """[m] points of faces that are tested against the body lie this far from each other."""
 
 Progress = Callable[[str, float, float, str], None]

@@ -92,6 +92,11 @@ class BodyResponse:
             rebound=float(np.mean([body.rebound for body in bodies])),
         )
 
+    def move(self, vertices: FloatArray) -> None:
+        """Draws the maps for moved vertices (V, 3) of all bodies [m]."""
+        self.maps.render(vertices)
+        self._contact = self._contact._replace(map=self.maps.map)
+
     def begin(self, frame: Frame) -> BodyContact:
         """Ready for a step; its forces are the frame's `body_forces` from now on."""
         self._contact.forces[:] = 0.0

@@ -65,8 +65,6 @@ class Cloth:
         points, triangles = copied(given, f"cloth {self.name!r}")
         if len(triangles) == 0:
             raise ValueError(f"cloth {self.name!r}: faces: a cloth needs at least one triangle")
-        if quads is not None and self.rest is not None and np.ndim(self.rest) == 3:
-            quads = None  # pairs across a quad need a place per vertex
         object.__setattr__(self, "mesh", Mesh(points, triangles, quads))
         object.__setattr__(self, "rest", _rest(self.rest, points, len(triangles), self.name))
         object.__setattr__(self, "material", materials.get(self.material))

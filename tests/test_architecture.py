@@ -24,7 +24,7 @@ FLOORS = {
     1: ("kernels",),
     2: (
         *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "motion", "torso", "body", "assets"),
-        *("pattern", "garmentcode", "panel_mesh", "garment"),
+        *("pattern", "garmentcode", "panel_mesh", "quad_mesh", "garment", "sizes", "wardrobe"),
     ),
     3: ("scene",),
     4: ("model", "elastic", "bending", "promise"),

@@ -50,6 +50,6 @@ def test_the_body_has_five_parts():
     assert np.abs(np.abs(found[near]) - np.abs(s[near])).max() < 1e-9
     assert (np.sign(found[near]) == np.sign(s[near])).mean() > 0.995
     before = boxes.face_tests
-    boxes.move(skin.vertices + (0.0, 5.0, 0.0))
+    boxes.move(skin.vertices + np.array([0.0, 5.0, 0.0]))
     assert np.isinf(boxes.query(points, REACH)[0]).all()
     assert boxes.face_tests == before

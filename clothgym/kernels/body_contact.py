@@ -24,7 +24,7 @@ from clothgym.kernels.integrate import (
 )
 
 _LEEWAY = 4e-3
-"""[m] faces whose points are further from the body than this when a substep begins are left alone in its sweeps."""
+"""[m] faces whose points are further from the body than this are left alone, until a vertex may have come half as far."""
 
 
 class BodyContact(NamedTuple):
@@ -39,7 +39,8 @@ class BodyContact(NamedTuple):
     rebound: float  # C_refl of eq. 12
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
-    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body in this substep, and which
+    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body, and which
+    travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
     side: NDArray  # (V,) int8 sides of the body at the start of the substep, see `body_map.sides_of`
     normal: NDArray  # (V, 3) normal of the last contact
@@ -59,6 +60,7 @@ def begin_contact(x, p, contact, dt):
     """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
     before = contact.clock[0]
     contact.clock[0] = before - dt
+    longest = 0.0
     for i in range(x.shape[0]):
         contact.pressed[i] = 0.0
         for c in range(3):
@@ -66,13 +68,22 @@ def begin_contact(x, p, contact, dt):
             contact.moved[i, c] = 0.0
             contact.carried[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
+        longest = max(
+            longest,
+            contact.approach[i, 0] * contact.approach[i, 0]
+            + contact.approach[i, 1] * contact.approach[i, 1]
+            + contact.approach[i, 2] * contact.approach[i, 2],
+        )
         contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], contact.map, before)
-    _find_near_faces(p, contact)
+    contact.travel[0] += math.sqrt(longest)
+    if contact.travel[0] > 0.5 * _LEEWAY or contact.map.flow.shape[0] > 0:
+        _find_near_faces(p, contact)
+        contact.travel[0] = 0.0
 
 
 @bare
 def _find_near_faces(p, contact):
-    """Faces with a point near the body on the way to p: most of a garment hangs free, and its sweeps need not look."""
+    """Faces with a point near the body at p: most of a garment hangs free, and its sweeps need not look."""
     points = contact.face_points
     age = contact.clock[0]
     count = 0

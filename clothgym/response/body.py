@@ -63,6 +63,7 @@ def body_contact(
         face_points=face_points(face_parts),
         near_faces=np.zeros(1 + len(faces), np.int32),
         clock=np.zeros(1),
+        travel=np.full(1, np.inf),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),
@@ -114,6 +115,7 @@ class BodyResponse:
             self._contact = self._contact._replace(map=self.maps.map)
         self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
+        self._contact.travel[0] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
         return self._contact
 

@@ -182,16 +182,21 @@ class Rig:
             ValueError: no such pose.
         """
         ready, cycle = round(rise * rate), round(stride * rate)
-
-        def phase(n: int) -> str:
-            return f"walk:{((n - ready) / cycle) % 1.0!r}"
-
-        def smooth(share: float) -> float:
-            return share * share * (3.0 - 2.0 * share)
-
-        frames = [self.posed(self.blended(start, phase(n), smooth(n / ready))) for n in range(ready)]
-        frames += [self.posed(phase(n)) for n in range(ready, ready + cycle)]
+        times = np.arange(ready + cycle) / rate
+        frames = [self.posed(self.walk_pose(float(t), start, stride, rise)) for t in times]
         return Motion(np.array(frames, np.float32), rate, ready)
+
+    def walk_pose(
+        self, time: float, start: str = "rest", stride: float = 1.2, rise: float = 1.0
+    ) -> dict[str, FloatArray]:
+        """Rotations at a time [s] of `walk`.
+
+        Raises:
+            ValueError: no such pose.
+        """
+        share = min(1.0, max(0.0, time / rise)) if rise > 0.0 else 1.0
+        phase = f"walk:{((time - rise) / stride) % 1.0!r}"
+        return self.blended(start, phase, share * share * (3.0 - 2.0 * share))
 
     def _orientation(self, local: Mapping[str, FloatArray], bone: int) -> FloatArray:
         """Quaternion that takes a bone from rest to its pose."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.body_contact import BodyContact
@@ -69,6 +71,19 @@ def body_contact(
     )
 
 
+def body_maps(bodies: tuple[Body, ...], fidelity: Fidelity) -> BodyMaps:
+    """Maps of bodies as a fidelity has them. Those of bodies that stand still are drawn once and shared."""
+    drawn = _drawn if any(body.motion is not None for body in bodies) else _shared
+    return drawn(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals)
+
+
+def _drawn(bodies: tuple[Body, ...], map_size: int, margin: float, normals: str) -> BodyMaps:
+    return BodyMaps(bodies, map_size, margin, normals)
+
+
+_shared = lru_cache(maxsize=4)(_drawn)
+
+
 class BodyResponse:
     """The maps of a scene's bodies and the buffers of contact with them; one friction for all bodies, their mean.
 
@@ -77,7 +92,7 @@ class BodyResponse:
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         bodies = model.scene.bodies
-        self.maps = BodyMaps(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals)
+        self.maps = body_maps(tuple(bodies), fidelity)
         self.label = f"body {fidelity.map_size} px, {fidelity.body_response}"
         self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""
         coulomb = fidelity.body_response == "coulomb"

@@ -17,7 +17,6 @@ from clothgym import fidelity as fidelities
 from clothgym import materials, promise, wardrobe
 from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.body import Body
-from clothgym.detection.body_maps import BodyMaps
 from clothgym.detection.intersections import intersections
 from clothgym.detection.openings import Threading
 from clothgym.dressing.placement import clear
@@ -30,7 +29,7 @@ from clothgym.materials import Material
 from clothgym.mesh import Mesh
 from clothgym.model import ClothModel
 from clothgym.pattern import Pattern
-from clothgym.response.body import REACH
+from clothgym.response.body import body_maps
 from clothgym.scene import Cloth, Scene
 from clothgym.simulation import Simulation
 
@@ -46,9 +45,18 @@ _WINDOW = 0.1
 REST_MEAN, REST_P99 = 0.004, 0.02
 """[m/s] at rest: the mean and the 99th percentile of the speeds of all vertices are below these."""
 
-_ROUGH = {"substeps": 16, "sweeps": 1, "body_faces": 1}
+_ROUGH: dict[str, Any] = {
+    "integrator": "xpbd",
+    "velocity_modification": "none",
+    "substeps": 16,
+    "sweeps": 1,
+    "body_faces": 1,
+}
 """A garment first falls into place at this effort, without self-collision; then it comes to rest as the fidelity promises."""
-_FACE_POINT = 0.01
+_LIGHTER = 0.25
+"""Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
+it there."""
+_FACE_POINT = 0.012
 """[m] points of faces that are tested against the body lie this far from each other."""
 
 Progress = Callable[[str, float, float, str], None]
@@ -143,16 +151,15 @@ def drape(
         wrong, when = what_is_wrong(fitting.worn(garment, sewn)), "after sewing"
         if not wrong or last:
             scene = _scene(garment, sewn, wearer, cloth_material, seconds)
-            x = _settled(scene, how, seconds, _told(progress, "settle", text))
+            effort = _effort(scene, how)
+            x = _settled(scene, effort, seconds, _told(progress, "settle", text))
             now = _lap(clock, "settle", now)
             wrong, when = what_is_wrong(fitting.worn(garment, x), slides(garment, sewn, x)), "when it hung"
         if wrong and not last:
             notes.append(f"{text}: not worn {when}, {wrong}")
             continue
-        scene = dataclasses.replace(_scene(garment, x, wearer, cloth_material, seconds), self_collision=self_collision)
-        simulation, speeds = _simulate(
-            scene, _effort(scene, how, garment), seconds, _told(progress, "drape", text), on_step
-        )
+        scene = dataclasses.replace(_begun(scene, x), self_collision=self_collision)
+        simulation, speeds = _simulate(scene, effort, seconds, _told(progress, "drape", text), on_step)
         _lap(clock, "drape", now)
         worn, moved = fitting.worn(garment, np.array(simulation.positions)), slides(garment, sewn, simulation.positions)
         report = _report(garment, simulation, speeds, worn, moved)
@@ -200,9 +207,7 @@ class _Fitting:
     ) -> None:
         self.body, self.closing = body, closing
         self.tolerance = fidelity.body_tolerance
-        self.maps = BodyMaps(
-            [body], fidelity.map_size, self.tolerance + REACH, fidelity.body_normals, fidelity.body_views
-        )
+        self.maps = body_maps((body,), fidelity)
         self.garment = assemble(pattern, edge_length, mesher, grid)
         self.expected = expected_limbs(self.garment, body)
 
@@ -250,22 +255,36 @@ def _scene(garment: Garment, x: FloatArray, body: Body, material: Material, seco
 
 
 def _settled(
-    scene: Scene, fidelity: Fidelity, seconds: float, progress: Callable[[float, float], None] | None
+    scene: Scene, effort: Fidelity, seconds: float, progress: Callable[[float, float], None] | None
 ) -> FloatArray:
-    """Positions (V, 3) [m] where the garment hangs at a rough effort, without self-collision."""
+    """Positions (V, 3) [m] where the garment hangs without self-collision: it falls into place at a rough effort and a
+    share of its weight, then hangs with all of it, with the substeps that it will rest with."""
     alone = dataclasses.replace(scene, self_collision=False)
-    simulation = Simulation(alone, dataclasses.replace(fidelity, **_ROUGH))
-    rest, steps = Rest(simulation), round(seconds / scene.step)
-    for step in range(1, steps + 1):
-        simulation.step()
-        if rest.reached():
-            break
-        if progress is not None:
-            progress(step, steps)
-    return np.array(simulation.positions)
+    light = dataclasses.replace(alone, gravity=tuple(_LIGHTER * g for g in scene.gravity))
+    few = min(effort.body_faces, _ROUGH["body_faces"])
+    rough, fine = dataclasses.replace(effort, **_ROUGH), dataclasses.replace(effort, body_faces=few)
+    x = scene.start
+    for stage, how in ((light, rough), (alone, fine)):
+        simulation = Simulation(_begun(stage, x), how)
+        rest, steps = Rest(simulation), round(seconds / scene.step)
+        for step in range(1, steps + 1):
+            simulation.step()
+            if rest.reached():
+                break
+            if progress is not None:
+                progress(step, steps)
+        x = np.array(simulation.positions)
+    return x
 
 
-def _effort(scene: Scene, fidelity: Fidelity, garment: Garment) -> Fidelity:
+def _begun(scene: Scene, x: FloatArray) -> Scene:
+    """The scene with its garment elsewhere (V, 3) [m]."""
+    (cloth,) = scene.cloths
+    mesh = Mesh(np.array(x), cloth.mesh.faces, cloth.mesh.quads)
+    return dataclasses.replace(scene, cloths=(dataclasses.replace(cloth, mesh=mesh),))
+
+
+def _effort(scene: Scene, fidelity: Fidelity) -> Fidelity:
     """The fidelity with the substeps that its promise asks for at rest, and points of faces as dense as the body needs."""
     if fidelity.substeps > 0 or fidelity.integrator != "xpbd":
         return fidelity

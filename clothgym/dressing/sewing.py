@@ -91,11 +91,17 @@ def sew(
 
 def _welded(garment: Garment) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
     """Positions, faces, and pairs with the distances that they shall have [m]."""
-    surface, shape = _shape(garment)
-    # vertices opposite an edge keep their distance too: without it the drawn-in cloth folds and crosses itself
+    ends, rest = _pairs(*_shape(garment), garment.quads is None)
+    return np.array(garment.vertices), garment.faces, ends, rest
+
+
+def _pairs(surface: Surface, shape: RestShape, stiff: bool) -> tuple[IntArray, FloatArray]:
+    """Edges; stiff: vertices opposite an edge too. Without them fine triangles, drawn in, fold and cross each other; with
+    them coarse quads cannot follow the body."""
     across, across_rest = shape.opposite_lengths(surface)
-    ends = np.concatenate([surface.edges, across])
-    return np.array(garment.vertices), garment.faces, ends, np.concatenate([shape.edge_lengths(surface), across_rest])
+    count = len(across) if stiff else 0
+    ends = np.concatenate([surface.edges, across[:count]])
+    return ends, np.concatenate([shape.edge_lengths(surface), across_rest[:count]])
 
 
 def _apart(garment: Garment) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
@@ -107,13 +113,12 @@ def _apart(garment: Garment) -> tuple[FloatArray, IntArray, IntArray, FloatArray
     surface = Surface(faces, len(x))
     corners = np.concatenate([garment.rest_corners, np.zeros((len(faces), 3, 1))], axis=2)
     shape = RestShape(Mesh(x, faces), corners)
-    across, across_rest = shape.opposite_lengths(surface)
+    pairs, lengths = _pairs(surface, shape, garment.quads is None)
     ids = np.concatenate(garment.welded)
     order = np.argsort(ids, kind="stable")
     same = ids[order[1:]] == ids[order[:-1]]
     seams = np.column_stack([order[:-1][same], order[1:][same]])
-    ends = np.concatenate([surface.edges, across, seams])
-    return x, faces, ends, np.concatenate([shape.edge_lengths(surface), across_rest, np.zeros(len(seams))])
+    return x, faces, np.concatenate([pairs, seams]), np.concatenate([lengths, np.zeros(len(seams))])
 
 
 def _joined(garment: Garment, x: FloatArray) -> tuple[FloatArray, float]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
-from clothgym.body import vertices_at
+from clothgym.body import Body, vertices_at
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.body_contact import BodyContact
@@ -76,6 +77,19 @@ def body_contact(
     )
 
 
+def body_maps(bodies: tuple[Body, ...], fidelity: Fidelity) -> BodyMaps:
+    """Maps of bodies as a fidelity has them. Those of bodies that stand still are drawn once and shared."""
+    drawn = _drawn if any(body.motion is not None for body in bodies) else _shared
+    return drawn(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals, fidelity.body_views)
+
+
+def _drawn(bodies: tuple[Body, ...], map_size: int, margin: float, normals: str, views: str) -> BodyMaps:
+    return BodyMaps(bodies, map_size, margin, normals, views)
+
+
+_shared = lru_cache(maxsize=4)(_drawn)
+
+
 class BodyResponse:
     """The maps of a scene's bodies and the buffers of contact with them; one friction for all bodies, their mean.
 
@@ -85,9 +99,7 @@ class BodyResponse:
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         bodies = model.scene.bodies
         self.bodies, self.moving, self.step = bodies, model.scene.moving, model.scene.step
-        self.maps = BodyMaps(
-            bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals, fidelity.body_views
-        )
+        self.maps = body_maps(tuple(bodies), fidelity)
         self.label = f"body {fidelity.map_size} px along {fidelity.body_views}, {fidelity.body_response}"
         self.label += ", drawn anew each step" if self.moving else ""
         self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""

@@ -17,7 +17,7 @@ _OFF_SKIN = 4e-3
 """[m] cloth lies this far from the skin."""
 _FLARE = 1.32
 """Hem of a skirt over the hips."""
-_CROTCH_DROP = 0.035
+_CROTCH_DROP = 0.055
 """[m] trousers hang this far below the crotch before they are drawn up."""
 
 

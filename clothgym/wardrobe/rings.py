@@ -8,7 +8,7 @@ import numpy as np
 
 from clothgym.pattern import Pattern
 from clothgym.sizes import Sizes
-from clothgym.wardrobe.bottoms import CLEARANCE
+from clothgym.wardrobe.bottoms import CLEARANCE, quarter
 from clothgym.wardrobe.outline import Draft, Outline
 from clothgym.wardrobe.tops import place_sleeve
 
@@ -53,9 +53,12 @@ def sleeve(s: Sizes) -> Pattern:
 
 def scarf(s: Sizes) -> Pattern:
     """A closed scarf that lies on the shoulders around the neck."""
-    half, low = 0.92 * s.neck_girth / 2, s.neck_height - 0.015 * s.height
-    high = low + 0.09 * s.height
-    front = Outline.of((-half, low), "hem", (half, low), "side_left", (half, high), "top", (-half, high), "side_right")
+    top, bottom, low = quarter(s.neck_girth, 1.25), quarter(s.neck_girth, 1.9), s.neck_height - 0.012 * s.height
+    high = low + 0.065 * s.height
+    front = Outline.of(
+        (-bottom, low), ("hem", (0.0, low - 0.02 * s.height)), (bottom, low), "side_left",
+        (top, high), ("top", (0.0, high - 0.012 * s.height)), (-top, high), "side_right",
+    )  # fmt: skip
     away = max(s.front - s.ridge, s.ridge - s.back) + CLEARANCE
     draft = Draft()
     draft.add("front", front, np.array([s.centre, 0.0, s.ridge + away]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clothgym.benchmarks.dressing import collider
+from clothgym.benchmarks.dressing import collider, garments
 from clothgym.benchmarks.frame import Benchmark, Case, Row
 from clothgym.benchmarks.report import Table
 
@@ -17,23 +17,24 @@ _NOTES = (
 
 
 def cases(quick: bool) -> list[Case]:
-    """The collider by itself."""
-    return collider.cases(quick)
+    """Garments, then the collider by itself."""
+    return garments.cases(quick) + collider.cases(quick)
 
 
 def prepare() -> None:
     """Compiles every kernel that a case uses."""
+    garments.prepare()
     collider.prepare()
 
 
 def run(parameters: dict[str, Any]) -> dict[str, Any]:
     """One case of `cases`."""
-    return collider.run(parameters)
+    return (collider if parameters["kind"] in collider.KINDS else garments).run(parameters)
 
 
 def tables(rows: list[Row]) -> list[Table]:
     """All tables that the rows are enough for."""
-    return collider.tables(rows)
+    return garments.tables(rows) + collider.tables(rows)
 
 
 benchmark = Benchmark(

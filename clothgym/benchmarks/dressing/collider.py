@@ -22,6 +22,7 @@ from clothgym.detection.body_maps import BodyMaps
 from clothgym.detection.body_mesh import BodyMesh
 from clothgym.kernels import body_map, raster
 
+KINDS = ("draw", "ask", "accuracy")
 TOLERANCE, MARGIN = 0.003, 0.015
 _REPEATS = 15
 _SHIRT = np.array([[-0.45, 0.85, -0.3], [0.45, 1.45, 0.3]])
@@ -210,9 +211,7 @@ def _paper_answers(body: Body, map_size: int, points: FloatArray, exact: FloatAr
 def tables(rows: list[Row]) -> list[Table]:
     """Drawing, asking, accuracy."""
     found = []
-    by_kind = {
-        kind: [row for row in rows if row["parameters"].get("kind") == kind] for kind in ("draw", "ask", "accuracy")
-    }
+    by_kind = {kind: [row for row in rows if row["parameters"].get("kind") == kind] for kind in KINDS}
     if by_kind["draw"]:
         drawn: list[tuple[Any, ...]] = [
             (p["map_size"], p["views"], r["triangles"], r["texels"], 1e3 * r["pixel"],

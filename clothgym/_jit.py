@@ -109,6 +109,13 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(inline="always", **flags)(function)
 
 
+def bare(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A `device` that allocates nothing and counts no references to the arrays in structures that it is given: counting
+    takes longer than looking into a few of them."""
+    options: dict[str, Any] = {**flags, "_nrt": False}
+    return numba.njit(**options)(function)
+
+
 def compiled_count() -> tuple[int, int]:
     """How many kernels have machine code in this process, and how many there are."""
     return sum(1 for k in kernels if k.signatures), len(kernels)

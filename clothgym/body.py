@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from clothgym import motion as motions
 from clothgym import rig
 from clothgym.arrays import BoolArray, FloatArray, IntArray, as_faces, as_points, check_choice, check_number, read_only
 from clothgym.mesh import Mesh, Surface, copied, face_areas
+from clothgym.motion import Motion
 from clothgym.rig import Limb
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -44,6 +46,7 @@ class Body:
         rebound: C_refl of eq. 12, the share of the approaching speed that a contact gives back, 0 to 1.
         limbs: paths that tell whether a garment is worn; a body of the package has its own.
         notes: one line each: what was found and done while reading, added to by what is found here.
+        motion: how it moves, see `clothgym.motion`; None: it stands. The mesh is what it moves from; limbs stay there.
 
     Raises:
         ValueError: names the body, the field and the value.
@@ -56,6 +59,7 @@ class Body:
     rebound: float = 0.0
     limbs: tuple[Limb, ...] = ()
     notes: tuple[str, ...] = ()
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         label = f"body {self.name!r}"
@@ -81,6 +85,15 @@ class Body:
         object.__setattr__(self, "mesh", Mesh(read_only(points), read_only(triangles)))
         object.__setattr__(self, "limbs", limbs)
         object.__setattr__(self, "notes", tuple(notes))
+        if self.motion is not None and np.shape(self.at(0.0)) != points.shape:
+            raise ValueError(
+                f"{label}: motion: its vertices have the shape {np.shape(self.at(0.0))}, not {points.shape}"
+            )
+
+    def at(self, time: float) -> FloatArray:
+        """(V, 3) where the vertices are at a time [m]."""
+        vertices: FloatArray = self.mesh.vertices
+        return vertices if self.motion is None else self.motion.vertices(vertices, time)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values without the notes; floats survive exactly."""
@@ -92,24 +105,43 @@ class Body:
             "slide": self.slide,
             "rebound": self.rebound,
             "limbs": [limb.to_json() for limb in self.limbs],
+            **({} if self.motion is None else {"motion": self.motion.to_json()}),
         }
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Body:
         """Raises ValueError for missing or unknown fields, by name."""
         known = {"name", "vertices", "faces", "friction", "slide", "rebound", "limbs"}
-        if wrong := set(values) ^ known:
+        if wrong := (set(values) - {"motion"}) ^ known:
             raise ValueError(f"body.{min(wrong)}: unknown or missing field; expected {', '.join(sorted(known))}")
         limbs = tuple(Limb.from_json(limb) for limb in values["limbs"])
         mesh = values["vertices"], values["faces"]
-        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs)
+        motion = motions.from_json(values.get("motion"))
+        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs, motion=motion)
+
+
+def named(bodies: Sequence[Body]) -> list[tuple[str, Body]]:
+    """Bodies with names that differ: those that share one are numbered."""
+    found: dict[str, Body] = {}
+    for body in bodies:
+        name, count = str(body.name), 1
+        while name in found:
+            count += 1
+            name = f"{body.name} {count}"
+        found[name] = body
+    return list(found.items())
+
+
+def vertices_at(bodies: Sequence[Body], time: float) -> FloatArray:
+    """(V, 3) [m] vertices of all bodies at a time."""
+    return np.concatenate([body.at(time) for body in bodies])
 
 
 def joined(bodies: Sequence[Body]) -> tuple[FloatArray, IntArray]:
-    """Vertices (V, 3) [m] and faces (F, 3) of all bodies together."""
+    """Vertices (V, 3) [m] at the start and faces (F, 3) of all bodies together."""
     starts = np.cumsum([0, *(len(body.mesh.vertices) for body in bodies)])
     faces = [body.mesh.faces + np.int32(start) for body, start in zip(bodies, starts)]
-    return np.concatenate([body.mesh.vertices for body in bodies]), np.concatenate(faces)
+    return vertices_at(bodies, 0.0), np.concatenate(faces)
 
 
 def load(

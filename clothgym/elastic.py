@@ -120,7 +120,7 @@ def structural_pairs(cloth: Cloth, rest_shape: RestShape, surface: Surface) -> t
     if quads is None:
         return surface.edges, rest_shape.edge_lengths(surface)
     pairs = _unique(np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)]))
-    return pairs, rest_shape.pair_lengths(pairs)
+    return pairs, rest_shape.pair_lengths(pairs, surface)
 
 
 def _springs(cloth: Cloth, rest_shape: RestShape, surface: Surface, kinds: list[int]) -> Springs:
@@ -139,9 +139,12 @@ def _springs(cloth: Cloth, rest_shape: RestShape, surface: Surface, kinds: list[
             pairs, rest = structural_pairs(cloth, rest_shape, surface)
         elif quads is None:
             pairs, rest = rest_shape.opposite_lengths(surface)
+        elif kind == SHEAR:
+            pairs = _unique(np.concatenate([quads[:, [0, 2]], quads[:, [1, 3]]]))
+            rest = rest_shape.pair_lengths(pairs, surface)
         else:
-            pairs = _unique(np.concatenate([quads[:, [0, 2]], quads[:, [1, 3]]])) if kind == SHEAR else _skip_one(quads)
-            rest = rest_shape.pair_lengths(pairs)
+            pairs, middles = _skip_one(quads)
+            rest = rest_shape.bent_lengths(pairs, middles, surface)
         proper = rest > least
         count = int(proper.sum())
         parts.append(Springs(pairs[proper], rest[proper], np.full(count, float(k)), np.full(count, kind)))
@@ -153,18 +156,26 @@ def _unique(pairs: IntArray) -> IntArray:
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
-def _skip_one(quads: IntArray) -> IntArray:
-    """Pairs of vertices two steps apart along a grid line: a-b in one quad, b-c in the next across the edge at b."""
+def _skip_one(quads: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs (P, 2) of vertices two steps apart along a grid line, a-b in one quad and b-c in the next across the edge at
+    b, and the vertex b (P,) between them."""
     sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for quad in quads.tolist():
         for i in range(4):
             before, a, b, after = quad[i - 1], quad[i], quad[(i + 1) % 4], quad[(i + 2) % 4]
             key, ends = ((a, b), (before, after)) if a < b else ((b, a), (after, before))
             sides.setdefault(key, []).append(ends)
-    pairs = [
-        (one[k], two[k]) for across in sides.values() if len(across) == 2 for one, two in [across] for k in range(2)
+    found = [
+        (min(one[k], two[k]), max(one[k], two[k]), edge[k])
+        for edge, across in sides.items()
+        if len(across) == 2
+        for one, two in [across]
+        for k in range(2)
     ]
-    return _unique(np.asarray(pairs, np.int32)) if pairs else np.zeros((0, 2), np.int32)
+    rows = np.asarray(found, np.int32).reshape(-1, 3)
+    pairs, first = np.unique(rows[:, :2], axis=0, return_index=True)
+    proper = pairs[:, 0] != pairs[:, 1]  # a panel sewn to itself beside a fold
+    return pairs[proper], rows[first, 2][proper]
 
 
 # ---------------------------------------------------------------------------------------------------------------

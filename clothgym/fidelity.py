@@ -20,8 +20,9 @@ DETECTIONS = ("hierarchy", "brute_force", "mezger")
 INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
 CONES = ("none", "mezger", "exact")
 BUILD_SPACES = ("pose", "pattern")
+BODY_VIEWS = ("z", "y", "x", "zy", "zx", "yx", "zyx")
 BODY_RESPONSES = ("coulomb", "velocity")
-BODY_NORMALS = ("face", "interpolated")
+BODY_NORMALS = ("face", "interpolated", "bytes")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield", "limited")
 DOPS = (6, 8, 14, 18, 26)
 ARITIES = (2, 4, 8)
@@ -162,7 +163,10 @@ class Fidelity:
         body_faces: n: faces are tested against the body too, at half the tolerance, at the midpoints of the n^2 equal
             triangles in each; 0 = vertices only, 1 = as the paper, more where the body is sharper than the cloth is fine.
         body_normals: planes of the body from its "face"s, which join, so that cloth comes to rest on them, or with
-            "interpolated" normals [Vassilev 2001, 5.2], which are smoother but jump by some 0.03 mm between texels.
+            "interpolated" normals [Vassilev 2001, 5.2], which are smoother but jump by some 0.03 mm between texels, or these
+            as "bytes" of a colour [Vassilev 2001, eq. 6 and 7], off by up to 0.4 of a degree.
+        body_views: axes along which the body is looked at, from both sides each: "z" as the paper; "zx", "zyx" and so on see
+            more of what lies behind something else and cost a look each; a point is inside where all say so.
         body_response: "coulomb" friction, at which cloth comes to rest, or "velocity" [Vassilev 2001, eq. 12], which creeps.
     """
 
@@ -214,6 +218,7 @@ class Fidelity:
     body_tolerance: float = 3e-3
     body_faces: int = 3
     body_normals: str = "face"
+    body_views: str = "z"
     body_response: str = "coulomb"
 
     def __post_init__(self) -> None:
@@ -228,6 +233,7 @@ class Fidelity:
         check_choice(self.build_space, "fidelity.build_space", BUILD_SPACES)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
         check_choice(self.body_normals, "fidelity.body_normals", BODY_NORMALS)
+        check_choice(self.body_views, "fidelity.body_views", BODY_VIEWS)
         check_choice(self.body_response, "fidelity.body_response", BODY_RESPONSES)
         for field, (low, high, integer) in _RANGES.items():
             # stored as plain numbers, so that JSON and hashes do not depend on the caller's types

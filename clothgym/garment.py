@@ -9,15 +9,19 @@ Welding comes before sewing: every vertex of a seam stands in the middle of its 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from clothgym.arrays import FloatArray, IntArray, check_number, read_only
+from clothgym.arrays import FloatArray, IntArray, check_choice, check_number, read_only
 from clothgym.panel_mesh import PanelMesh, edge_counts, split_edges, triangulate
 from clothgym.pattern import Pattern, Seam
+from clothgym.quad_mesh import mesh_quads
+
+MESHERS = ("triangles", "quads")
 
 _HALVINGS = 6
 _ROUNDS = 4
@@ -43,6 +47,7 @@ class Garment:
         panel_vertices: for each panel the (N, 3) placed vertices before welding [m].
         welded: for each panel the (N,) vertices of the garment that its vertices became.
         seam_gap: largest distance that welding closed [m].
+        quads: (Q, 4) of a garment meshed with quads, else None.
     """
 
     name: str
@@ -59,9 +64,21 @@ class Garment:
     panel_vertices: tuple[FloatArray, ...]
     welded: tuple[IntArray, ...]
     seam_gap: float
+    quads: IntArray | None = None
+
+    def moved(self, shift: tuple[float, float, float]) -> Garment:
+        """The same garment placed elsewhere [m]."""
+        way = np.asarray(shift, float)
+        return dataclasses.replace(
+            self,
+            vertices=read_only(self.vertices + way),
+            panel_vertices=tuple(read_only(place + way) for place in self.panel_vertices),
+        )
 
 
-def assemble(pattern: Pattern, edge_length: float = 0.02) -> Garment:
+def assemble(
+    pattern: Pattern, edge_length: float = 0.02, mesher: str = "triangles", grid: tuple[int, int] | None = None
+) -> Garment:
     """Meshes all panels, places them and welds their seams.
 
     Both edges of a seam get the same number of vertices, whatever their lengths. Corners where seams meet become one
@@ -70,15 +87,20 @@ def assemble(pattern: Pattern, edge_length: float = 0.02) -> Garment:
     Args:
         pattern: what to sew.
         edge_length: wanted length of the edges [m].
+        mesher: "triangles", or "quads": a grid in each panel, as [Vassilev 2001] has it.
+        grid: (columns, rows) of vertices of every panel, with quads only; default: as the length asks for.
 
     Raises:
-        ValueError: an edge length out of range; names the panel that cannot be meshed, or the seam that would fold a
-            triangle onto an edge or join three panels along one.
+        ValueError: an edge length out of range, an unknown mesher; names the panel that cannot be meshed, or the seam that
+            would fold a triangle onto an edge or join three panels along one.
     """
     check_number(edge_length, "edge_length", 1e-4, 10.0)
-    meshes = _meshes(pattern, edge_length)
+    check_choice(mesher, "mesher", MESHERS)
+    if grid is not None and mesher != "quads":
+        raise ValueError(f"grid = {grid}: works with mesher 'quads' only")
+    meshes = _meshes(pattern, edge_length) if mesher == "triangles" else mesh_quads(pattern, edge_length, grid)
     welded, count = _weld(pattern, meshes)
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if mesher == "triangles" else 0):
         clashes = _clashes(meshes, welded, count)
         if not clashes:
             break
@@ -110,7 +132,13 @@ def assemble(pattern: Pattern, edge_length: float = 0.02) -> Garment:
         panel_vertices=tuple(read_only(place) for place in places),
         welded=tuple(read_only(ids) for ids in welded),
         seam_gap=gap,
+        quads=_welded_quads(meshes, welded),
     )
+
+
+def _welded_quads(meshes: Sequence[PanelMesh], welded: Sequence[IntArray]) -> IntArray | None:
+    quads = [ids[mesh.quads] for mesh, ids in zip(meshes, welded) if mesh.quads is not None]
+    return read_only(np.ascontiguousarray(np.concatenate(quads), np.int32)) if quads else None
 
 
 def _numbers(pattern: Pattern) -> dict[str, int]:

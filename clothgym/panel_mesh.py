@@ -26,18 +26,20 @@ _HALVINGS = 6
 
 @dataclass(frozen=True, eq=False)
 class PanelMesh:
-    """A triangulated panel.
+    """A meshed panel.
 
     Attributes:
         vertices: (V, 2) [m] in the panel's own coordinates: first the samples of the border, in the order of the loop,
             then the inner ones.
         faces: (F, 3) run the way the panel's loop runs: counter-clockwise seen from its outside.
         edge_vertices: for each edge of the panel the ids of its samples from its start to its end, both included.
+        quads: (Q, 4) in a mesh of rectangular topology, two faces each; None in one of triangles.
     """
 
     vertices: FloatArray
     faces: IntArray
     edge_vertices: tuple[IntArray, ...]
+    quads: IntArray | None = None
 
     @property
     def border_count(self) -> int:

@@ -311,13 +311,18 @@ class Pattern:
 
     @staticmethod
     def load(source: str | os.PathLike[str]) -> Pattern:
-        """A pattern of the package by its name (see `names`), or a file.
+        """A pattern of the package by its name (see `names`), or a file. Those that the package drafts have the female's
+        sizes; `wardrobe.tailored` cuts them to any body.
 
         Raises:
             FileNotFoundError: neither.
             ValueError: names file, panel, edge and value.
         """
-        if isinstance(source, str) and source in names():
+        if isinstance(source, str) and source in names() and source not in _files():
+            from clothgym import body, wardrobe
+
+            return wardrobe.tailored(source, body.load("female"))
+        if isinstance(source, str) and source in _files():
             text = resources.files("clothgym").joinpath("assets", "patterns", f"{source}.json").read_text("utf-8")
             return Pattern.from_json(text, source)
         path = Path(source)
@@ -367,8 +372,15 @@ class Pattern:
 
 def names() -> tuple[str, ...]:
     """Patterns of the package."""
+    from clothgym import wardrobe
+
+    return tuple(sorted({*_files(), *wardrobe.NAMES}))
+
+
+def _files() -> tuple[str, ...]:
+    """Patterns that lie in the package as files."""
     folder = resources.files("clothgym").joinpath("assets", "patterns")
-    return tuple(sorted(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json")))
+    return tuple(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json"))
 
 
 # Checks

@@ -115,6 +115,11 @@ def impact_substeps(model: ClothModel, stretch: float) -> float:
     return IMPACT * speed * scene.step / model.mean_edge * (0.1 / stretch) ** _IMPACT_POWER
 
 
+def substeps_at_rest(model: ClothModel, stretch: float) -> int:
+    """Substeps of one sweep in a step, for an excess stretch of cloth that hardly moves: what comes to rest on a body."""
+    return _bounded(math.ceil(model.scene.step / _longest(model, stretch, 1.0)), MOST_SUBSTEPS, "substeps", stretch)
+
+
 def _sweeps(ratio: float) -> int:
     """Sweeps that make up for substeps that are so many times too long for one."""
     return max(1, math.ceil(ratio ** (2.0 / _GAIN)))

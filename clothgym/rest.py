@@ -39,15 +39,33 @@ class RestShape:
         self.least_altitudes: FloatArray = np.full(self.count, np.inf)
         np.minimum.at(self.least_altitudes, self.faces.ravel(), np.repeat(altitude, 3))
 
-    def pair_lengths(self, pairs: IntArray) -> FloatArray:
-        """(P,) rest distance of vertex pairs [m]; needs a place per vertex."""
-        assert self.places is not None, "pairs that are no edges need a place per vertex"
-        return np.linalg.norm(self.places[pairs[:, 1]] - self.places[pairs[:, 0]], axis=1)
+    def pair_lengths(self, pairs: IntArray, surface: Surface) -> FloatArray:
+        """(P,) rest distance of vertex pairs [m]; with corners per face they must be edges, or opposite one."""
+        if self.places is not None:
+            return np.linalg.norm(self.places[pairs[:, 1]] - self.places[pairs[:, 0]], axis=1)
+        across, across_lengths = self.opposite_lengths(surface)
+        known = np.concatenate([surface.edges, across]).astype(np.int64)
+        keys, first = np.unique(known[:, 0] * self.count + known[:, 1], return_index=True)
+        wide = np.sort(np.asarray(pairs, np.int64), axis=1)
+        wanted = wide[:, 0] * self.count + wide[:, 1]
+        place = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
+        if len(wanted) and not (keys[place] == wanted).all():
+            a, b = pairs[int(np.argmax(keys[place] != wanted))]
+            raise ValueError(f"rest: the distance of vertices {a} and {b} is not told by the corners of faces")
+        return np.concatenate([self.edge_lengths(surface), across_lengths])[first[place]]
+
+    def bent_lengths(self, pairs: IntArray, middles: IntArray, surface: Surface) -> FloatArray:
+        """(P,) rest distance [m] of pairs with a vertex between them on a line of the grid; with corners per face, where no
+        plane holds both ends, the way over that vertex."""
+        if self.places is not None:
+            return self.pair_lengths(pairs, surface)
+        first, second = (np.column_stack([pairs[:, k], middles]) for k in range(2))
+        return self.pair_lengths(first, surface) + self.pair_lengths(second, surface)
 
     def edge_lengths(self, surface: Surface) -> FloatArray:
         """(E,) rest length of every edge [m]: the mean over the faces at it."""
         if self.places is not None:
-            return self.pair_lengths(surface.edges)
+            return self.pair_lengths(surface.edges, surface)
         corners = self.corners[surface.face_ids]
         # edges (0,1), (1,2), (2,0) of each face
         lengths = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2).ravel()
@@ -70,7 +88,7 @@ class RestShape:
         pairs, first, second, ends = pairs[proper], first[proper], second[proper], ends[proper]
         unique, index = np.unique(np.sort(pairs, axis=1), axis=0, return_index=True)
         if self.places is not None:
-            return unique, self.pair_lengths(unique)
+            return unique, self.pair_lengths(unique, surface)
         first, second, ends = first[index], second[index], ends[index]
         one, two_ = (self.laid_out(surface, faces, ends) for faces in (first, second))
         return unique, np.hypot(one[:, 0] - two_[:, 0], one[:, 1] + two_[:, 1])

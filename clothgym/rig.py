@@ -397,7 +397,12 @@ def section_hull(vertices: FloatArray, faces: IntArray, height: float) -> FloatA
     ends = ends[above[ends[:, 0]] != above[ends[:, 1]]]
     a, b = vertices[ends[:, 0]], vertices[ends[:, 1]]
     share = (height - a[:, 1]) / (b[:, 1] - a[:, 1])
-    points = np.unique((a + share[:, None] * (b - a))[:, [0, 2]], axis=0)
+    return hull_of((a + share[:, None] * (b - a))[:, [0, 2]])
+
+
+def hull_of(points: FloatArray) -> FloatArray:
+    """(N, 2) convex hull, counter-clockwise, of points (M, 2); fewer than three different ones as they are."""
+    points = np.unique(points, axis=0)
     if len(points) < 3:
         return points
     rows = points.tolist()

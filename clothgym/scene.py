@@ -76,8 +76,6 @@ class Cloth:
         points, triangles = copied(given, f"cloth {self.name!r}")
         if len(triangles) == 0:
             raise ValueError(f"cloth {self.name!r}: faces: a cloth needs at least one triangle")
-        if quads is not None and self.rest is not None and np.ndim(self.rest) == 3:
-            quads = None  # pairs across a quad need a place per vertex
         object.__setattr__(self, "mesh", Mesh(points, triangles, quads))
         object.__setattr__(self, "rest", _rest(self.rest, points, len(triangles), self.name))
         object.__setattr__(self, "material", materials.get(self.material))
@@ -183,7 +181,7 @@ class Scene:
 
     Attributes:
         cloths: at least one.
-        bodies: what the cloth lies on; they do not move.
+        bodies: what the cloth lies on; they stand, or move as they are told (`Body.motion`).
         ground: height of a horizontal plane [m], None = none.
         gravity: [m/s^2].
         wind: velocity of the air [m/s]; wind_drag: force per area and speed across the cloth [N s/m^3].
@@ -242,8 +240,13 @@ class Scene:
 
     @property
     def calm(self) -> bool:
-        """Whether no wind blows."""
-        return self.wind_drag == 0.0 or not any(self.wind)
+        """Whether nothing does work on the cloth: no wind blows, no body moves."""
+        return not self.moving and (self.wind_drag == 0.0 or not any(self.wind))
+
+    @property
+    def moving(self) -> bool:
+        """Whether a body moves."""
+        return any(body.motion is not None for body in self.bodies)
 
     @property
     def start(self) -> FloatArray:

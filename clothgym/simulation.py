@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from clothgym import fidelity as fidelities
 from clothgym import metrics
 from clothgym.arrays import FARTHEST, FloatArray, IntArray, as_ids, as_points, check_number, read_only, shown
-from clothgym.body import Body
+from clothgym.body import Body, named
 from clothgym.errors import SimulationError
 from clothgym.fidelity import Fidelity
 from clothgym.model import ClothModel
@@ -159,7 +159,7 @@ class Simulation:
 
     @property
     def body_mesh(self) -> Any:
-        """The bodies' true surface, a `detection.body_mesh.BodyMesh`: exact distances, for measuring.
+        """The bodies' true surface now, a `detection.body_mesh.BodyMesh`: exact distances, for measuring.
 
         Raises:
             ValueError: the scene has no bodies.
@@ -171,7 +171,17 @@ class Simulation:
             from clothgym.detection.body_mesh import BodyMesh
 
             self._body_mesh = BodyMesh(*joined(self.scene.bodies))
+        if self.scene.moving:
+            from clothgym.body import vertices_at
+
+            self._body_mesh.move(vertices_at(self.scene.bodies, self._state.time))
         return self._body_mesh
+
+    @property
+    def body_meshes(self) -> list[tuple[str, FloatArray, IntArray]]:
+        """(name, vertices (B, 3) [m] now, faces) of each body that moves; those that share a name are numbered."""
+        bodies = [(name, body) for name, body in named(self.scene.bodies) if body.motion is not None]
+        return [(name, body.at(self._state.time), body.mesh.faces) for name, body in bodies]
 
     def penetration_depth(self) -> float:
         """Depth [m] of the deepest vertex or midpoint of a face below the bodies' true surface; 0 without bodies."""

@@ -15,7 +15,7 @@ from clothgym.detection.body_mesh import BodyMesh
 from clothgym.kernels import body_map
 
 TOLERANCE, MARGIN = 0.003, 0.015
-NOBODY = -1
+NOBODY, FRONT, BACK = 0, body_map.FRONT, body_map.BACK
 
 
 def turn(axis, angle):
@@ -80,6 +80,12 @@ def turned(name):
     make, distance, matrix = SOLIDS[name]
     mesh = trimesh.Trimesh(*(lambda m: (m.vertices @ matrix.T, m.faces))(make()), process=False)
     return mesh, lambda points: distance(points @ matrix)
+
+
+def lies(maps):
+    """Left, bottom and size of the texels of the only pair of views, rows and columns."""
+    view = maps.map.one
+    return view.left, view.bottom, view.pixel, view.rows, view.columns
 
 
 def maps_of(mesh, size=240, margin=MARGIN, normals="face"):
@@ -215,9 +221,7 @@ def test_the_same_as_naive_maps(name, normals_of):
     mesh = coarse.get(name, lambda: fine_box(SIZE, 2))()
     mesh = trimesh.Trimesh(mesh.vertices @ matrix.T, mesh.faces, process=False)
     maps = maps_of(mesh, 60, normals=normals_of)
-    grid = maps.map
-    lies = grid.left, grid.bottom, grid.pixel, grid.rows, grid.columns
-    naive = NaiveMaps(mesh.vertices, mesh.faces, lies, normals_of == "interpolated")
+    naive = NaiveMaps(mesh.vertices, mesh.faces, lies(maps), normals_of == "interpolated")
     points = around(mesh, 250, 0.01, seed=3)
     points = np.concatenate([points, np.random.default_rng(2).uniform(*(1.1 * mesh.bounds), (150, 3))])
     found, normals = maps.query(points, TOLERANCE)
@@ -243,20 +247,20 @@ def test_the_same_as_naive_maps(name, normals_of):
 def test_planes_of_texels_are_tangents_of_the_smooth_mesh():
     mesh = ball(cuts=2)
     maps = maps_of(mesh, 48, normals="interpolated")
-    m = maps.map
-    naive = NaiveMaps(mesh.vertices, mesh.faces, (m.left, m.bottom, m.pixel, m.rows, m.columns), True)
+    m, (_, _, _, rows, columns) = maps.map, lies(maps)
+    naive = NaiveMaps(mesh.vertices, mesh.faces, lies(maps), True)
     shown = 0
-    for row in range(m.rows):
-        for column in range(m.columns):
+    for row in range(rows):
+        for column in range(columns):
             here = naive.ray((row, column))
             assert maps.filled[row, column] == (here is not None)
             if here is None:
                 continue
             shown += 1
-            planes = m.planes[row * m.columns + column].astype(float)
+            planes = m.planes[row * columns + column].astype(float)
             for side, (place, normal) in enumerate(here):
                 assert planes[4 * side : 4 * side + 3] == pytest.approx(normal, abs=5e-3)
-                local = place - [m.left, m.bottom, m.middle]
+                local = place - m.origin
                 assert planes[4 * side : 4 * side + 3] @ local + planes[4 * side + 3] == pytest.approx(0.0, abs=1e-5)
     assert shown > 1000
 
@@ -267,16 +271,16 @@ def test_planes_of_neighbours_join_unless_they_are_interpolated():
     jumps = {}
     for normals in ("face", "interpolated"):
         maps = maps_of(mesh, 120, normals=normals)
-        m = maps.map
-        middle, pixel = mesh.triangles_center, m.pixel
+        m, (left, bottom, pixel, _, columns) = maps.map, lies(maps)
+        middle = mesh.triangles_center
         shown = middle[mesh.face_normals[:, 2] > 0.6]
         seen = []
         for point in shown:
             for row in (-1, 0, 1):
                 for column in (-1, 0, 1):
-                    at = (*np.floor((point[:2] - (m.left, m.bottom)) / pixel).astype(int), column, row)
-                    plane = m.planes[at[1] * m.columns + at[0], :4].astype(float)
-                    seen.append(abs(plane[:3] @ (point - (m.left, m.bottom, m.middle)) + plane[3]))
+                    at = (*np.floor((point[:2] - (left, bottom)) / pixel).astype(int), column, row)
+                    plane = m.planes[at[1] * columns + at[0], :4].astype(float)
+                    seen.append(abs(plane[:3] @ (point - m.origin) + plane[3]))
         jumps[normals] = max(seen)
     assert jumps["face"] < 1e-6 < 1e-5 < jumps["interpolated"]
 
@@ -355,7 +359,7 @@ def test_points_beside_and_off_the_map_are_outside():
 
 def test_texels_hold_three_unit_normals_or_nothing():
     maps = maps_of(ball(), 80)
-    planes = maps.map.planes.reshape(-1, 3, 4).astype(float)
+    planes = maps.map.planes[:, :12].reshape(-1, 3, 4).astype(float)
     used = np.isfinite(planes[:, 0, 3])
     assert used.reshape(maps.filled.shape)[maps.filled].all()
     sizes = np.linalg.norm(planes[used][:, :, :3], axis=2)
@@ -443,17 +447,20 @@ def test_far_from_the_origin(offset):
 def test_sides_are_told_by_where_points_are():
     maps = maps_of(ball())
     m = maps.map
-    side = body_map.side_of
-    assert side(0.0, 0.0, 0.2, m) == 0
-    assert side(0.0, 0.0, -0.2, m) == 1
-    assert side(0.0, 0.0, 0.05, m) == 0, "inside, nearer to the front"
-    assert side(0.0, 0.0, -0.05, m) == 1
+
+    def side(x, y, z, m):
+        return body_map.sides_of(x, y, z, m, 0.0)
+
+    assert side(0.0, 0.0, 0.2, m) == FRONT
+    assert side(0.0, 0.0, -0.2, m) == BACK
+    assert side(0.0, 0.0, 0.05, m) == FRONT, "inside, nearer to the front"
+    assert side(0.0, 0.0, -0.05, m) == BACK
     assert side(0.5, 0.0, 0.0, m) == NOBODY
-    assert side(0.0, 0.099, 0.5, m) == 0, "far in front of a steep place"
-    assert side(0.0, 0.101, -0.5, m) == 1, "beside it, in the margin"
-    texel, plane, distance = body_map.find_plane(0.0, 0.0, -0.05, 0, m, TOLERANCE)
+    assert side(0.0, 0.099, 0.5, m) == FRONT, "far in front of a steep place"
+    assert side(0.0, 0.101, -0.5, m) == BACK, "beside it, in the margin"
+    texel, plane, distance = body_map.find_plane(0.0, 0.0, -0.05, FRONT, m, TOLERANCE, 0.0)
     assert (plane, texel >= 0) == (0, True), "came from the front: leads back there"
     assert distance == pytest.approx(-0.15, abs=1e-3)
-    texel, plane, distance = body_map.find_plane(0.098, 0.0, 0.0, 0, m, TOLERANCE)
+    texel, plane, distance = body_map.find_plane(0.098, 0.0, 0.0, FRONT, m, TOLERANCE, 0.0)
     assert plane == 2
     assert distance == pytest.approx(-0.002, abs=5e-4)

@@ -17,9 +17,9 @@ from clothgym.commands.run import read_fidelity
 
 _HELP = """Sews a pattern onto a body and lets it hang until it rests; says whether the body wears it.
 
-PATTERN is a pattern of the package or a GarmentCode file (.json), BODY a body of the package or any mesh that trimesh
-reads (y up, metres, unless --up and --unit say otherwise). Pictures go into the folder of --pictures, else beside --out
-with its name in front, else into `logs/drape/<pattern>_<body>/`.
+PATTERN is a pattern of the package, which is cut to the body, or a GarmentCode file (.json), BODY a body of the package or
+any mesh that trimesh reads (y up, metres, unless --up and --unit say otherwise). Pictures go into the folder of --pictures,
+else beside --out with its name in front, else into `logs/drape/<pattern>_<body>/`.
 
 Exit code: 0 worn, 1 not worn (everything is written and reported all the same), 2 bad input, 130 stopped.
 """
@@ -59,6 +59,24 @@ def drape(
     edge_length: Annotated[
         float, typer.Option("--edge-length", metavar="M", help="Of the garment's triangles [m].")
     ] = 0.02,
+    mesher: Annotated[
+        str, typer.Option("--mesher", metavar="M", help="triangles, or quads: a grid in each panel.")
+    ] = "triangles",
+    grid: Annotated[
+        str | None,
+        typer.Option("--grid", metavar="CxR", help="Columns x rows of vertices of each panel.", show_default=False),
+    ] = None,
+    closing: Annotated[
+        str, typer.Option("--closing", metavar="C", help="weld: seams closed first, or forces along them.")
+    ] = "weld",
+    self_collision: Annotated[
+        bool, typer.Option("--self-collision/--no-self-collision", help="Whether the cloth feels itself.")
+    ] = True,
+    animate: Annotated[
+        str | None,
+        typer.Option("--animate", metavar="walk", help="Then the body walks on the spot.", show_default=False),
+    ] = None,
+    walk_seconds: Annotated[float, typer.Option("--walk-seconds", metavar="S", help="How long it walks [s].")] = 6.0,
     material: Annotated[
         str, typer.Option("--material", metavar="NAME", help=f"{', '.join(materials.MATERIALS)}.")
     ] = "cotton",
@@ -98,14 +116,35 @@ def drape(
     _check_targets({"--out": out, "--body-out": body_out, "--record": record}, {"PATTERN": pattern, "--body": body})
     if pictures is not None and pictures.exists() and not pictures.is_dir():
         raise ValueError(f"--pictures = {str(pictures)!r}: not a folder")
-    from clothgym.pattern import Pattern
+    from clothgym.pattern import Pattern, names
+    from clothgym.rig import NAMES
 
-    choices = {"fit": fit, "edge_length": edge_length, "material": material, "seconds": seconds}
+    check_choice(mesher, "--mesher", ("triangles", "quads"))
+    check_choice(closing, "--closing", ("weld", "forces"))
+    check_number(walk_seconds, "--walk-seconds", 0.0, 600.0)
+    if animate is not None:
+        check_choice(animate, "--animate", ("walk",))
+        check_choice(body, "--animate: --body", NAMES)
+    choices = {
+        "fit": fit,
+        "edge_length": edge_length,
+        "mesher": mesher,
+        "grid": _grid(grid),
+        "closing": closing,
+        "self_collision": self_collision,
+        "material": material,
+        "seconds": seconds,
+    }
     with reserved_stdout(as_json):
-        wearer, given, how = _load_body(body, pose, unit, up), Pattern.load(pattern), read_fidelity(fidelity)
+        wearer, how = _load_body(body, pose, unit, up), read_fidelity(fidelity)
+        given: Any = (
+            pattern if pattern in names() else Pattern.load(pattern)
+        )  # those of the package are cut to the body
         _make_folders(pictures, *(path.parent for path in (out, body_out) if path is not None))
         result = _drape(given, wearer, how, choices, record)
-        images = _write_pictures(result, *_picture_place(given.name, wearer.name, out, pictures))
+        walked = None if animate is None else _walk(result, pose, walk_seconds)
+        name = result.garment.name
+        images = _write_pictures(result, *_picture_place(name, wearer.name, out, pictures))
         if out is not None:
             write_atomically(out, encode_mesh(out, result.positions, result.faces, result.garment.rest_corners))
         if body_out is not None:
@@ -117,16 +156,22 @@ def drape(
         "fit": fit,
         "fidelity": fidelity,
         "edge_length": edge_length,
+        "mesher": mesher,
+        "closing": closing,
         "material": material,
     }
     files = {"out": out, "body_out": body_out, "record": record}
-    document = json_ready({**asked, **result.report, "notes": list(result.notes), **files, "pictures": images})
+    notes = {"notes": list(result.notes), **({} if walked is None else {"walk": walked})}
+    document = json_ready({**asked, **result.report, **notes, **files, "pictures": images})
     answer(document, _tables(document, asked), as_json)
     if not as_json:
         for note in result.notes:
             say(note)
     if not document["worn"]:
-        say(f"{given.name} on {wearer.name}: not worn: {_what_is_wrong(document)}")
+        say(f"{name} on {wearer.name}: not worn: {_what_is_wrong(document)}")
+        raise typer.Exit(1)
+    if walked is not None and not walked["worn"]:
+        say(f"{name} on {wearer.name}: worn, but not after the walk")
         raise typer.Exit(1)
 
 
@@ -134,6 +179,32 @@ def _load_body(source: str, pose: str, unit: str | None, up: str | None) -> Any:
     from clothgym import body
 
     return body.load(source, pose=pose, unit=unit, up=up)
+
+
+def _grid(text: str | None) -> tuple[int, int] | None:
+    """Columns and rows from "12x14"."""
+    if text is None:
+        return None
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.strip().isdigit() for part in parts):
+        raise ValueError(f"--grid = {text!r}: expected columns x rows, as in 12x14")
+    return int(parts[0]), int(parts[1])
+
+
+def _walk(result: Any, pose: str, seconds: float) -> dict[str, Any]:
+    """What `clothgym.dressing.walk` reports, with progress and Ctrl-C."""
+    from clothgym.dressing import walk
+
+    with ctrl_c_between_steps() as may_stop, progress_bar(f"{result.garment.name}: walk", seconds) as bar:
+
+        def on_frame(simulation: Any) -> None:
+            bar(simulation.time, "walk", seconds)
+            may_stop()
+
+        try:
+            return dict(walk(result, seconds, pose=pose, on_frame=on_frame).report)
+        except KeyboardInterrupt:
+            raise Stopped("stopped while walking; nothing was written") from None
 
 
 def _drape(pattern: Any, wearer: Any, fidelity: Any, choices: dict[str, Any], record: Path | None) -> Any:
@@ -146,7 +217,7 @@ def _drape(pattern: Any, wearer: Any, fidelity: Any, choices: dict[str, Any], re
         with (
             recording,
             ctrl_c_between_steps() as may_stop,
-            progress_bar(f"{pattern.name} on {wearer.name}", 1.0) as bar,
+            progress_bar(f"{getattr(pattern, 'name', pattern)} on {wearer.name}", 1.0) as bar,
         ):
 
             def progress(phase: str, done: float, total: float, text: str = "") -> None:
@@ -316,7 +387,7 @@ def _obj(vertices: FloatArray, faces: IntArray, flat: FloatArray | None) -> byte
 
 
 def _tables(document: dict[str, Any], asked: dict[str, Any]) -> list[Table]:
-    apart = {*asked, "openings", "notes", "out", "body_out", "record", "pictures"}
+    apart = {*asked, "openings", "notes", "walk", "out", "body_out", "record", "pictures"}
     rows = [(_labelled(name), value) for name, value in document.items() if name not in apart]
     openings = [
         (k, opening["expected"], ", ".join(map(str, opening["through"])) or "nothing", opening["right"])
@@ -332,6 +403,7 @@ def _tables(document: dict[str, Any], asked: dict[str, Any]) -> list[Table]:
         ),
         Table("Drape", ("quantity", "value"), rows, "strains and penetrations: of the garment as it hangs at the end"),
         Table("Openings", ("opening", "should hold", "holds", "right"), openings),
+        *([Table("Walk", ("quantity", "value"), list(document["walk"].items()))] if "walk" in document else []),
         Table("Written", ("what", "file"), written),
     ]
 

@@ -219,6 +219,7 @@ def _body() -> None:
     import trimesh
 
     import clothgym as cg
+    from clothgym.detection.body_boxes import BodyBoxes
 
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.15)
     vertices, faces = _crossing_sheets()
@@ -231,6 +232,7 @@ def _body() -> None:
             simulation = _steps(scene, fidelity, 1)
     simulation.body_mesh.penetration(lifted, faces)
     simulation.pipeline.stages[0].body.maps.query(lifted, 0.01)
+    BodyBoxes(ball.vertices, ball.faces).query(lifted, 0.01)
 
 
 def _dressing() -> None:

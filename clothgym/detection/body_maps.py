@@ -8,12 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clothgym.arrays import FloatArray, IntArray, as_points
+from clothgym.arrays import BoolArray, FloatArray, as_points
 from clothgym.body import Body, joined
-from clothgym.kernels import body_map, raster
+from clothgym.kernels import body_map, body_outline, raster
 from clothgym.kernels.body_map import BodyMap
 from clothgym.mesh import Surface
 
+VIEWS = ("x", "y", "z")
+"""Axes along which a pair of views may look."""
+
+_COLOUR_LEVELS = 127.5
+"""A byte of a colour holds twice as many."""
 _LEAST_MARGIN_PIXELS = 2
 _MOST_MARGIN_PIXELS = 100
 """Texels of small bodies are no finer than this part of the margin: it would fill the memory."""
@@ -23,125 +28,77 @@ _BOUND = 0.003
 
 
 class BodyMaps:
-    """Front, back and outline of all bodies of a scene as planes per texel, seen along z.
+    """Front, back and outline of all bodies of a scene as planes per texel, seen along one axis or more.
 
-    Texels beside the body within the margin copy front and back of the nearest texel on it. The plane of the outline is
-    the tangent of the projected mesh at the point nearest to the texel, not that of a drawn image: it is exact to less
-    than a texel. It gives the tolerance at the sides, for which the paper adds one layer of pixels.
+    Texels beside the body within the margin copy front and back of the nearest texel on it. The plane of the outline gives
+    the tolerance at the sides, for which the paper adds one layer of pixels.
 
-    What two views cannot see: concavities behind the outermost surfaces (armpits from the side, between arm and trunk
-    where the arm lies in front) count as filled; surfaces along z away from the outline (the sides of an arm that
-    points forward in front of the trunk) have no plane of their own.
+    What a pair of views cannot see: concavities behind the outermost surfaces (armpits from the side, between arm and trunk
+    where the arm lies in front, the inside of a bowl from its side) count as filled; surfaces along the view away from the
+    outline (the sides of an arm that points forward in front of the trunk) have no plane of their own. A point is inside
+    where all pairs say so.
 
     Attributes:
         map: what kernels read.
-        pixel: size of a texel [m], the error of discretisation in x and y [Vassilev 2001, eq. 11].
-        filled: (rows, columns) whether a texel lies on the body itself; row 0 at the bottom.
+        pixel: size of a texel of the first pair [m], the error of discretisation across the view [Vassilev 2001, eq. 11].
+        filled: (rows, columns) whether a texel of the first pair lies on the body itself; row 0 at the bottom.
 
     Args:
         bodies: at least one.
-        map_size: texels along the longer side of the bodies' extent in x and y.
+        map_size: texels along the longer side of the bodies' extent across the view.
         margin: [m] how far beside the body it is felt; at least the tolerance plus what a point may sink in a substep.
-        normals: "face" or "interpolated", see `Fidelity.body_normals`.
+        normals: "face", "interpolated" or "bytes", see `Fidelity.body_normals`.
+        views: axes of the pairs, of `VIEWS`.
     """
 
     def __init__(
-        self, bodies: Sequence[Body], map_size: int = 360, margin: float = 0.015, normals: str = "face"
+        self,
+        bodies: Sequence[Body],
+        map_size: int = 360,
+        margin: float = 0.015,
+        normals: str = "face",
+        views: str = "z",
     ) -> None:
         self.vertices, self.faces = joined(bodies)
-        self.map_size, self.margin, self.normals = map_size, margin, normals
+        self.map_size, self.margin, self.normals, self.views = map_size, margin, normals, views
         self._surface = Surface(self.faces, len(self.vertices))
         self.render(self.vertices)
 
-    def render(self, vertices: ArrayLike) -> None:
-        """Draws the maps for moved vertices (V, 3) [m]."""
+    def render(
+        self,
+        vertices: ArrayLike,
+        before: ArrayLike | None = None,
+        dt: float = 0.0,
+        near: FloatArray | None = None,
+    ) -> None:
+        """Draws the maps for moved vertices (V, 3) [m].
+
+        Args:
+            before: (V, 3) where they were dt [s] earlier; None: they stand.
+            near: (2, 3) box [m]: points outside it will not be asked about, so nothing is drawn there; None: everywhere.
+        """
         self.vertices = as_points(vertices, "vertices", len(self.vertices))
-        used = self.vertices[np.unique(self.faces)]
-        low, high = used.min(axis=0), used.max(axis=0)
-        extent = high - low
-        self.pixel = max(float(max(extent[0], extent[1])), 1e-9) / self.map_size
-        self.pixel = max(self.pixel, self.margin / _MOST_MARGIN_PIXELS)
-        border = math.ceil(self.margin / self.pixel) + _LEAST_MARGIN_PIXELS
-        columns, rows = (math.ceil(float(extent[k]) / self.pixel) + 2 * border for k in range(2))
-        left, bottom, middle = float(low[0]) - border * self.pixel, float(low[1]) - border * self.pixel, float(low[2])
-        top, eye = bottom + rows * self.pixel, float(high[2]) + 1.0
-        scale = 1.0 / self.pixel
-        matrix = np.array(
-            [
-                [scale, 0.0, 0.0, -left * scale],
-                [0.0, -scale, 0.0, top * scale],
-                [0.0, 0.0, -1.0, eye],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-        image = np.empty((len(self.vertices), 4))
-        raster.project(self.vertices, matrix, image)
-        layers = raster.new_layers(2, rows, columns)
-        raster.rasterise(image, self.faces, 0.0, layers)
-        normals = np.empty_like(self.vertices)
-        raster.vertex_normals(self.vertices, self.faces, normals)
-        planes = np.empty((rows * columns, 12), np.float32)
-        depths = np.empty((2, rows, columns), np.float32)
-        frame = np.array([left, bottom, middle, self.pixel])
-        interpolate = self.normals == "interpolated"
-        body_map.planes_of_layers(self.vertices, normals, self.faces, layers, frame, interpolate, planes, depths)
-        self.filled = np.isfinite(depths[0])
-        bounds = self._dilate(planes, depths, low[:2] - border * self.pixel)
-        self.map = BodyMap(planes, bounds, rows, columns, left, bottom, middle, self.pixel)
-
-    def _dilate(self, planes: np.ndarray, depths: np.ndarray, corner: FloatArray) -> np.ndarray:
-        """Copies front and back of the nearest texel of the body into those beside it and writes the outline's planes;
-        returns the bounds in z (N, 2)."""
-        from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
-
-        planes[:, 8:11] = 0.0
-        planes[:, 11] = -np.inf
-        if not self.filled.any():
-            return np.tile(np.array([np.inf, -np.inf], np.float32), (len(planes), 1))
-        distance, (row, column) = distance_transform_edt(~self.filled, return_indices=True)
-        near = (distance > 0.0) & (distance <= self.margin / self.pixel + 1.0)
-        nearest = (row * self.filled.shape[1] + column)[near]
-        planes[np.flatnonzero(near), :8] = planes[nearest, :8]
-        # a surface near a point shows in one of the texels around it
-        size = 2 * max(_BOUND_PIXELS, math.ceil(_BOUND / self.pixel)) + 1
-        bounds = np.stack([minimum_filter(depths[1], size).ravel(), maximum_filter(depths[0], size).ravel()], axis=1)
-        beyond = np.flatnonzero(near)[~np.isfinite(bounds[near.ravel(), 0])]
-        bounds[beyond] = bounds[nearest[~np.isfinite(bounds[near.ravel(), 0])]]
-        self._add_outline(planes, near, corner)
-        return np.ascontiguousarray(bounds, np.float32)
-
-    def _add_outline(self, planes: np.ndarray, near: np.ndarray, corner: FloatArray) -> None:
-        """Writes the planes of the outline for texels on the body and near it."""
-        segments = self._segments() - corner
-        columns = self.filled.shape[1]
-        outside, inside = np.flatnonzero(near), np.flatnonzero(self.filled)
-        # what is nearest to a point beside the body is always a piece of its outline; edges that the body hides lie behind
-        beside = self._centres(outside, columns)
-        foot, owner = _nearest_on(segments, beside, 0.5 * self.pixel)
-        on_body = self._centres(inside, columns)
-        shown = segments[np.unique(owner)]
-        foot_inside, _ = _nearest_on(shown, on_body, 0.5 * self.pixel)
-        for texels, centres, feet, sign in ((outside, beside, foot, 1.0), (inside, on_body, foot_inside, -1.0)):
-            way = sign * (centres - feet)
-            size = np.sqrt(np.einsum("ij,ij->i", way, way))
-            told = size > 1e-6 * self.pixel  # on the outline itself front and back must do
-            normal = way[told] / size[told, None]
-            planes[texels[told], 8:10] = normal
-            planes[texels[told], 11] = -np.einsum("ij,ij->i", normal, feet[told])
-
-    def _centres(self, texels: np.ndarray, columns: int) -> FloatArray:
-        """(N, 2) from the lower left corner of the map [m]."""
-        return self.pixel * (np.stack([texels % columns, texels // columns], axis=1) + 0.5)
-
-    def _segments(self) -> FloatArray:
-        """(S, 2, 2) edges in x and y [m] where the body turns from front to back, and borders of holes."""
-        surface, xy = self._surface, self.vertices[:, :2]
-        a, b, c = (xy[surface.faces[:, k]] for k in range(3))
-        one, two = b - a, c - a
-        front = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] > 0.0
-        seen = np.bincount(surface.face_edges[front].ravel(), minlength=len(surface.edges))
-        count = surface.edge_face_count
-        return xy[surface.edges[((seen > 0) & (seen < count)) | (count == 1)]]
+        velocities = np.zeros((0, 3))
+        if before is not None and dt > 0.0:
+            velocities = (self.vertices - as_points(before, "before", len(self.vertices))) / dt
+        low, high = box = np.empty((2, 3))
+        body_map.extent(self.vertices, self.faces, box)
+        normals = np.empty((0 if self.normals == "face" else len(self.vertices), 3))
+        if len(normals):
+            raster.vertex_normals(self.vertices, self.faces, normals)
+        views = [_View(self, VIEWS.index(axis), low, high, near) for axis in self.views]
+        texels = sum(view.rows * view.columns for view in views)
+        planes, bounds = np.empty((texels, body_map.PLANES), np.float32), np.empty((texels, 2), np.float32)
+        flow = np.empty((texels if len(velocities) else 0, 9), np.float32)
+        first = 0
+        for view in views:
+            part = slice(first, first + view.rows * view.columns)
+            view.draw(self, normals, velocities, dt, low, planes[part], bounds[part], flow[part])
+            view.first, first = first, part.stop
+        self.pixel, self.filled = views[0].pixel, views[0].filled
+        x, y, z = low.tolist()
+        others = [view.place for view in views[1:]] + (3 - len(views)) * [None]
+        self.map = BodyMap(planes, bounds, flow, (x, y, z), views[0].place, *others)
 
     def query(self, points: ArrayLike, tolerance: float) -> tuple[FloatArray, FloatArray]:
         """Signed distances (N,) [m] and normals (N, 3) for points nearer than the tolerance; inf and zero for others."""
@@ -151,23 +108,91 @@ class BodyMaps:
         return distances, normals
 
 
-def _nearest_on(segments: FloatArray, points: FloatArray, spacing: float) -> tuple[FloatArray, IntArray]:
-    """The nearest point (N, 2) of segments (S, 2, 2) to each of points (N, 2), and its segment (N,)."""
-    from scipy.spatial import cKDTree
+class _View:
+    """One pair of views: where its texels lie, and how they are drawn."""
 
-    start, way = segments[:, 0], segments[:, 1] - segments[:, 0]
-    squared = np.einsum("ij,ij->i", way, way)
-    counts = np.ceil(np.sqrt(squared) / spacing).astype(np.int64) + 1
-    owner = np.repeat(np.arange(len(segments)), counts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    share = number / np.maximum(counts - 1, 1)[owner]
-    tree = cKDTree(start[owner] + share[:, None] * way[owner])
-    # the segments of the two nearest samples: one of them is nearest, or as good as
-    chosen = owner[tree.query(points, k=min(2, len(owner)))[1].reshape(len(points), -1)]
-    gap = points[:, None] - start[chosen]
-    t = np.einsum("nki,nki->nk", gap, way[chosen]) / np.maximum(squared[chosen], 1e-300)
-    feet = start[chosen] + np.clip(t, 0.0, 1.0)[:, :, None] * way[chosen]
-    far = points[:, None] - feet
-    best = np.einsum("nki,nki->nk", far, far).argmin(axis=1)
-    rows = np.arange(len(points))
-    return feet[rows, best], chosen[rows, best]
+    filled: BoolArray
+    first = 0
+
+    def __init__(
+        self, maps: BodyMaps, axis: int, low: FloatArray, high: FloatArray, near: FloatArray | None = None
+    ) -> None:
+        self.axis = axis
+        self.axes = np.array([(axis + 1) % 3, (axis + 2) % 3, axis])
+        across = (high - low)[self.axes[:2]]
+        self.pixel = max(float(across.max()), 1e-9) / maps.map_size
+        self.pixel = max(self.pixel, maps.margin / _MOST_MARGIN_PIXELS)
+        border = math.ceil(maps.margin / self.pixel) + _LEAST_MARGIN_PIXELS
+        self.columns, self.rows = (math.ceil(float(size) / self.pixel) + 2 * border for size in across)
+        self.left, self.bottom = (float(low[k]) - border * self.pixel for k in self.axes[:2])
+        if near is not None:
+            self.left, self.columns = self._cut(self.left, self.columns, near[:, self.axes[0]])
+            self.bottom, self.rows = self._cut(self.bottom, self.rows, near[:, self.axes[1]])
+        self.middle, self.eye = float(low[axis]), float(high[axis]) + 1.0
+
+    def _cut(self, start: float, count: int, wanted: FloatArray) -> tuple[float, int]:
+        """Start [m] and number of the texels that lie between two places; at least one, and the same texels as before."""
+        first, last = np.floor((wanted - start) / self.pixel).clip(0, count - 1).astype(int).tolist()
+        return start + first * self.pixel, last - first + 1
+
+    @property
+    def place(self) -> body_map.View:
+        """What kernels read."""
+        return body_map.View(
+            self.first, self.rows, self.columns, self.axis, self.left, self.bottom, self.middle, self.pixel
+        )
+
+    def draw(
+        self,
+        maps: BodyMaps,
+        normals: FloatArray,
+        velocities: FloatArray,
+        dt: float,
+        origin: FloatArray,
+        planes: np.ndarray,
+        bounds: np.ndarray,
+        flow: np.ndarray,
+    ) -> None:
+        """Fills the rows of this view."""
+        layers = self._layers(maps)
+        depths = np.empty((2, self.rows, self.columns), np.float32)
+        levels = _COLOUR_LEVELS if maps.normals == "bytes" else 0.0
+        body_map.planes_of_layers(
+            maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, levels, planes, depths, flow
+        )
+        self.filled = depths[0] > -np.inf
+        reach = max(_BOUND_PIXELS, math.ceil(_BOUND / self.pixel))
+        body_outline.depth_bounds(depths, flow, self.axis, dt, reach, np.empty_like(depths), bounds)
+        surface = maps._surface
+        edge_count = len(surface.edges)
+        chosen = np.empty(edge_count, np.int32)
+        count = body_outline.outline_edges(
+            maps.vertices, surface.faces, surface.face_edges, surface.edge_face_count, self.axes,
+            np.empty(edge_count, np.int32), chosen,
+        )  # fmt: skip
+        lines, nearest = np.empty((count, 5)), np.empty((self.rows, self.columns))
+        owner = np.empty((self.rows, self.columns), np.int32)
+        place = np.array([self.left, self.bottom, self.pixel])
+        body_outline.nearest_outline(
+            maps.vertices, surface.edges, chosen, count, place, self.axes, self.filled, maps.margin / self.pixel + 1.0,
+            lines, np.empty(count, np.bool_), nearest, owner,
+        )  # fmt: skip
+        body_outline.write_outline(
+            maps.vertices, velocities, surface.edges, chosen, place, self.axes, self.filled, lines, owner, origin,
+            planes, bounds, flow,
+        )  # fmt: skip
+
+    def _layers(self, maps: BodyMaps) -> raster.Layers:
+        """Front and back drawn from far along the axis."""
+        scale = 1.0 / self.pixel
+        a, b, c = self.axes
+        matrix = np.zeros((4, 4))
+        matrix[0, a], matrix[0, 3] = scale, -self.left * scale
+        matrix[1, b], matrix[1, 3] = -scale, (self.bottom + self.rows * self.pixel) * scale
+        matrix[2, c], matrix[2, 3] = -1.0, self.eye
+        matrix[3, 3] = 1.0
+        image = np.empty((len(maps.vertices), 4))
+        raster.project(maps.vertices, matrix, image)
+        layers = raster.new_layers(2, self.rows, self.columns)
+        raster.rasterise(image, maps.faces, 0.0, layers)
+        return layers

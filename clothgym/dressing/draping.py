@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import time
 from collections.abc import Callable
@@ -13,11 +14,12 @@ import numpy as np
 
 from clothgym import body as bodies
 from clothgym import fidelity as fidelities
-from clothgym import materials
+from clothgym import materials, promise, wardrobe
 from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.body import Body
-from clothgym.detection.body_maps import BodyMaps
+from clothgym.detection.intersections import intersections
 from clothgym.detection.openings import Threading
+from clothgym.dressing.placement import clear
 from clothgym.dressing.placement import fit as fit_placement
 from clothgym.dressing.sewing import rest_of, sew
 from clothgym.dressing.worn import SLIDE_LIMIT, expected_limbs, slides, threadings, what_is_wrong
@@ -25,22 +27,37 @@ from clothgym.fidelity import Fidelity
 from clothgym.garment import Garment, assemble
 from clothgym.materials import Material
 from clothgym.mesh import Mesh
+from clothgym.model import ClothModel
 from clothgym.pattern import Pattern
-from clothgym.response.body import REACH
+from clothgym.response.body import body_maps
 from clothgym.scene import Cloth, Scene
 from clothgym.simulation import Simulation
 
 SHIFTS = (0.0, 0.03, 0.06, -0.02, 0.09)
 """[m] lifts of the placement that are tried one after the other until the garment is worn."""
 
-SETTLING = 4.0
-"""[1/s] least damping while a garment comes to rest: the drape is wanted, not the way to it."""
+SETTLING = 8.0
+"""[1/s] least damping while a garment comes to rest: the drape is wanted, not the way to it. About critical for half a
+metre of cloth that swings."""
 
 _WINDOW = 0.1
 """[s] speeds are means over this time: what trembles in place is at rest."""
-_LEAST_WINDOWS = 5
-REST_MEAN, REST_P99 = 0.002, 0.01
+REST_MEAN, REST_P99 = 0.004, 0.02
 """[m/s] at rest: the mean and the 99th percentile of the speeds of all vertices are below these."""
+
+_ROUGH: dict[str, Any] = {
+    "integrator": "xpbd",
+    "velocity_modification": "none",
+    "substeps": 16,
+    "sweeps": 1,
+    "body_faces": 1,
+}
+"""A garment first falls into place at this effort, without self-collision; then it comes to rest as the fidelity promises."""
+_LIGHTER = 0.25
+"""Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
+it there."""
+_FACE_POINT = 0.012
+"""[m] points of faces that are tested against the body lie this far from each other."""
 
 Progress = Callable[[str, float, float, str], None]
 
@@ -80,6 +97,10 @@ def drape(
     fit: bool = True,
     fidelity: str | Fidelity = "balanced",
     edge_length: float = 0.02,
+    mesher: str = "triangles",
+    grid: tuple[int, int] | None = None,
+    closing: str = "weld",
+    self_collision: bool = True,
     material: str | Material = "cotton",
     seconds: float = 6.0,
     progress: Progress | None = None,
@@ -87,16 +108,27 @@ def drape(
 ) -> Draped:
     """Sews a pattern onto a body and lets it hang until it rests.
 
+    The garment first falls into place at a rough effort and without self-collision; that takes most of the simulated time
+    and little of the wall time. Then it comes to rest as the fidelity promises, with substeps of one sweep: cloth that
+    hardly moves needs fewer than cloth that falls (`promise.substeps_at_rest`); a fidelity that gives its substeps keeps
+    them.
+
     Args:
-        pattern: a pattern, the name of one of the package, or a GarmentCode file.
+        pattern: a pattern, the name of one of the package, or a GarmentCode file. What the package drafts is cut to the
+            body, unless `fit` is off.
         body: a body, the name of one of the package, or a mesh file.
-        fit: move the pattern's placement to the body; its sizes stay.
+        fit: scale a pattern of a file by the girths of the body where it would be too tight or far too wide, and move its
+            placement to the body.
         fidelity: how well the drape is simulated.
-        edge_length: of the garment's triangles [m].
+        edge_length: of the garment's triangles, or of the sides of its quads [m].
+        mesher, grid: see `garment.assemble`.
+        closing: see `sewing.sew`.
+        self_collision: whether the cloth feels itself at the end.
         material: of the cloth.
         seconds: simulated time after which a drape that does not rest ends [s].
-        progress: called as (phase, done, total, text) with phase "sew" or "drape".
-        on_step: called with the simulation at the start of the drape and after each of its steps.
+        progress: called as (phase, done, total, text) with phase "sew", "settle" or "drape".
+        on_step: called with the simulation at the start of the drape, when the garment has fallen into place, and after each
+            of its steps.
 
     Raises:
         ValueError: bad input, in one line.
@@ -104,27 +136,35 @@ def drape(
     """
     started = time.perf_counter()
     check_number(seconds, "seconds", 0.0, 1e4)
-    given = pattern if isinstance(pattern, Pattern) else Pattern.load(pattern)
     wearer = body if isinstance(body, Body) else bodies.load(body)
+    given, said = placed(pattern, wearer, fit)
     cloth_material, how = materials.get(material), fidelities.get(fidelity)
-    notes = list(wearer.notes)
-    if fit:
-        given, said = fit_placement(given, wearer)
-        notes.extend(said)
-    fitting = _Fitting(given, wearer, how, edge_length)
+    notes = [*wearer.notes, *said]
+    fitting = _Fitting(given, wearer, how, edge_length, mesher, grid, closing)
+    clock = {"prepare": time.perf_counter() - started, "sew": 0.0, "settle": 0.0, "drape": 0.0}
     best: Draped | None = None
     for attempt, shift in enumerate(SHIFTS, 1):
-        text = f"attempt {attempt}, shift {1000 * shift:+.0f} mm"
-        garment, x = fitting.sew(shift, _told(progress, "sew", text))
-        wrong = what_is_wrong(fitting.worn(garment, x))
-        if wrong and attempt < len(SHIFTS):
-            notes.append(f"{text}: not worn after sewing, {wrong}")
+        text, last = f"attempt {attempt}, shift {1000 * shift:+.0f} mm", attempt == len(SHIFTS)
+        now = time.perf_counter()
+        garment, sewn, gap = fitting.sew(shift, _told(progress, "sew", text))
+        now = _lap(clock, "sew", now)
+        wrong, when = what_is_wrong(fitting.worn(garment, sewn)), "after sewing"
+        if not wrong or last:
+            scene = _scene(garment, sewn, wearer, cloth_material, seconds)
+            effort = _effort(scene, how)
+            x = _settled(scene, effort, seconds, _told(progress, "settle", text))
+            now = _lap(clock, "settle", now)
+            wrong, when = what_is_wrong(fitting.worn(garment, x), slides(garment, sewn, x)), "when it hung"
+        if wrong and not last:
+            notes.append(f"{text}: not worn {when}, {wrong}")
             continue
-        tell = _told(progress, "drape", text)
-        simulation, speeds = _simulate(garment, x, wearer, cloth_material, how, seconds, tell, on_step)
-        worn, moved = fitting.worn(garment, np.array(simulation.positions)), slides(garment, x, simulation.positions)
+        scene = dataclasses.replace(_begun(scene, x), self_collision=self_collision)
+        simulation, speeds = _simulate(scene, effort, seconds, _told(progress, "drape", text), on_step)
+        _lap(clock, "drape", now)
+        worn, moved = fitting.worn(garment, np.array(simulation.positions)), slides(garment, sewn, simulation.positions)
         report = _report(garment, simulation, speeds, worn, moved)
-        report |= {"shift": shift, "attempts": attempt, "seconds": time.perf_counter() - started}
+        report |= {"shift": shift, "attempts": attempt, "seam_gap": gap, "seconds": time.perf_counter() - started}
+        report |= {f"{phase}_seconds": spent for phase, spent in clock.items()}
         best = Draped(garment, wearer, simulation, report, ())
         if report["worn"]:
             break
@@ -133,21 +173,50 @@ def drape(
     return dataclasses.replace(best, notes=tuple(notes))
 
 
+def placed(pattern: Pattern | str | os.PathLike[str], body: Body, fit: bool = True) -> tuple[Pattern, tuple[str, ...]]:
+    """A pattern around a body, and what was done to it, a line each; see `drape`."""
+    if isinstance(pattern, str) and pattern in wardrobe.NAMES and fit:
+        try:
+            return clear(wardrobe.tailored(pattern, body), body)
+        except ValueError as error:
+            given, said = fit_placement(Pattern.load(pattern), body)
+            return given, (f"{error}; the pattern is that for the female body", *said)
+    given = pattern if isinstance(pattern, Pattern) else Pattern.load(pattern)
+    return fit_placement(given, body) if fit else (given, ())
+
+
+def _lap(clock: dict[str, float], phase: str, since: float) -> float:
+    """Books the time since then; returns now."""
+    now = time.perf_counter()
+    clock[phase] += now - since
+    return now
+
+
 class _Fitting:
     """A pattern around a body: sewn at any lift, and asked whether it is worn."""
 
-    def __init__(self, pattern: Pattern, body: Body, fidelity: Fidelity, edge_length: float) -> None:
-        self.pattern, self.body, self.edge_length = pattern, body, edge_length
+    def __init__(
+        self,
+        pattern: Pattern,
+        body: Body,
+        fidelity: Fidelity,
+        edge_length: float,
+        mesher: str = "triangles",
+        grid: tuple[int, int] | None = None,
+        closing: str = "weld",
+    ) -> None:
+        self.body, self.closing = body, closing
         self.tolerance = fidelity.body_tolerance
-        self.maps = BodyMaps([body], fidelity.map_size, self.tolerance + REACH, fidelity.body_normals)
-        self.garment = assemble(pattern, edge_length)
+        self.maps = body_maps((body,), fidelity)
+        self.garment = assemble(pattern, edge_length, mesher, grid)
         self.expected = expected_limbs(self.garment, body)
 
-    def sew(self, shift: float, tell: Callable[[float, float], None] | None = None) -> tuple[Garment, FloatArray]:
-        """The garment lifted by a shift [m], and its positions (V, 3) when its seams are closed."""
-        lifted = self.pattern.moved((0.0, shift, 0.0))
-        garment = self.garment if shift == 0.0 else assemble(lifted, self.edge_length)
-        return garment, sew(garment, self.maps, self.tolerance, tell)
+    def sew(
+        self, shift: float, tell: Callable[[float, float], None] | None = None
+    ) -> tuple[Garment, FloatArray, float]:
+        """The garment lifted by a shift [m], its positions (V, 3) when its seams are closed, and the gap that was left."""
+        garment = self.garment.moved((0.0, shift, 0.0)) if shift != 0.0 else self.garment
+        return garment, *sew(garment, self.maps, self.tolerance, tell, self.closing)
 
     def worn(self, garment: Garment, x: FloatArray) -> list[Threading]:
         return threadings(garment, x, self.body, self.maps, self.expected)
@@ -163,10 +232,10 @@ def hung(
     Raises:
         ValueError: bad input; a garment that is not worn after sewing, with the openings that are wrong.
     """
-    given = pattern if isinstance(pattern, Pattern) else Pattern.load(pattern)
     wearer = body if isinstance(body, Body) else bodies.load(body)
-    fitting = _Fitting(fit_placement(given, wearer)[0], wearer, Fidelity(), edge_length)
-    garment, x = fitting.sew(0.0)
+    given, _ = placed(pattern, wearer)
+    fitting = _Fitting(given, wearer, Fidelity(), edge_length)
+    garment, x, _ = fitting.sew(0.0)
     wrong = what_is_wrong(fitting.worn(garment, x))
     if wrong:
         raise ValueError(f"pattern {given.name!r}: not worn by {wearer.name} after sewing: {wrong}")
@@ -179,40 +248,96 @@ def _told(progress: Progress | None, phase: str, text: str) -> Callable[[float, 
 
 def _scene(garment: Garment, x: FloatArray, body: Body, material: Material, seconds: float) -> Scene:
     calm = dataclasses.replace(material, damping=max(material.damping, SETTLING))
-    cloth = Cloth(Mesh(x, np.array(garment.faces)), calm, rest=garment.rest_corners, name=garment.name)
+    mesh = Mesh(x, np.array(garment.faces), garment.quads)
+    cloth = Cloth(mesh, calm, rest=garment.rest_corners, name=garment.name)
     low = float(body.mesh.vertices[:, 1].min())
     return Scene((cloth,), bodies=(body,), ground=low, duration=seconds, name=f"{garment.name} on {body.name}")
 
 
+def _settled(
+    scene: Scene, effort: Fidelity, seconds: float, progress: Callable[[float, float], None] | None
+) -> FloatArray:
+    """Positions (V, 3) [m] where the garment hangs without self-collision: it falls into place at a rough effort and a
+    share of its weight, then hangs with all of it, with the substeps that it will rest with."""
+    alone = dataclasses.replace(scene, self_collision=False)
+    light = dataclasses.replace(alone, gravity=tuple(_LIGHTER * g for g in scene.gravity))
+    few = min(effort.body_faces, _ROUGH["body_faces"])
+    rough, fine = dataclasses.replace(effort, **_ROUGH), dataclasses.replace(effort, body_faces=few)
+    x = scene.start
+    for stage, how in ((light, rough), (alone, fine)):
+        simulation = Simulation(_begun(stage, x), how)
+        rest, steps = Rest(simulation), round(seconds / scene.step)
+        for step in range(1, steps + 1):
+            simulation.step()
+            if rest.reached():
+                break
+            if progress is not None:
+                progress(step, steps)
+        x = np.array(simulation.positions)
+    return x
+
+
+def _begun(scene: Scene, x: FloatArray) -> Scene:
+    """The scene with its garment elsewhere (V, 3) [m]."""
+    (cloth,) = scene.cloths
+    mesh = Mesh(np.array(x), cloth.mesh.faces, cloth.mesh.quads)
+    return dataclasses.replace(scene, cloths=(dataclasses.replace(cloth, mesh=mesh),))
+
+
+def _effort(scene: Scene, fidelity: Fidelity) -> Fidelity:
+    """The fidelity with the substeps that its promise asks for at rest, and points of faces as dense as the body needs."""
+    if fidelity.substeps > 0 or fidelity.integrator != "xpbd":
+        return fidelity
+    model = ClothModel(scene, fidelity)
+    parts = math.ceil(model.mean_edge / _FACE_POINT) if fidelity.body_faces else 0
+    substeps = max(_ROUGH["substeps"], promise.substeps_at_rest(model, fidelity.stretch_error))
+    return dataclasses.replace(fidelity, substeps=substeps, sweeps=1, body_faces=parts)
+
+
 def _simulate(
-    garment: Garment,
-    x: FloatArray,
-    body: Body,
-    material: Material,
+    scene: Scene,
     fidelity: Fidelity,
     seconds: float,
     progress: Callable[[float, float], None] | None,
     on_step: Callable[[Simulation], None] | None,
 ) -> tuple[Simulation, tuple[float, float]]:
     """Gravity until at rest, or until the time is over; mean and 99th percentile of the last speeds [m/s]."""
-    scene = _scene(garment, x, body, material, seconds)
     simulation = Simulation(scene, fidelity)
     if on_step is not None:
         on_step(simulation)
-    window, steps = max(1, round(_WINDOW / scene.step)), round(seconds / scene.step)
-    past = [np.array(simulation.positions)]
-    mean = p99 = 0.0
+    rest, steps = Rest(simulation), round(seconds / scene.step)
     for step in range(1, steps + 1):
         simulation.step()
         if on_step is not None:
             on_step(simulation)
-        past = [*past[-window:], np.array(simulation.positions)]
-        mean, p99 = _speeds(past, scene.step)
-        if step >= _LEAST_WINDOWS * window and _rests(mean, p99) and simulation.last_intersections.hit_count == 0:
+        if rest.reached() and _hits(simulation) == 0:
             break
         if progress is not None:
             progress(step, steps)
-    return simulation, (mean, p99)
+    return simulation, rest.speeds
+
+
+def _hits(simulation: Simulation) -> int:
+    return int(simulation.last_intersections.hit_count) if simulation.scene.self_collision else 0
+
+
+class Rest:
+    """Watches a simulation: whether it has been at rest for the time over which speeds are taken.
+
+    Mean and 99th percentile of the speeds tell more than the kinetic energy, which a few trembling vertices dominate.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.window = max(1, round(_WINDOW / simulation.scene.step))
+        self.past = [np.array(simulation.positions)]
+        self.speeds = (0.0, 0.0)
+
+    def reached(self) -> bool:
+        """To be asked after every step."""
+        self.past = [*self.past[-self.window :], np.array(self.simulation.positions)]
+        self.speeds = _speeds(self.past, self.simulation.scene.step)
+        return len(self.past) > self.window and _rests(*self.speeds)
 
 
 def _rests(mean: float, p99: float) -> bool:
@@ -240,7 +365,7 @@ def _report(
     strain = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / rest - 1.0
     at_seam = np.isin(ends, garment.seam_vertices).any(axis=1)
     depths = simulation.body_mesh.penetration(x, garment.faces)
-    hits = simulation.last_intersections
+    hits = simulation.last_intersections if simulation.scene.self_collision else intersections(x, surface)
     mean, p99 = speeds
     return {
         "worn": all(w.right for w in worn) and max(moved) <= SLIDE_LIMIT,
@@ -256,6 +381,7 @@ def _report(
         "p99_speed": p99,
         "simulated_seconds": simulation.time,
         "vertices": len(x),
+        "panel_vertices": sum(len(mesh.vertices) for mesh in garment.panel_meshes),
         "faces": len(garment.faces),
         "openings": [
             {"expected": w.expected, "through": list(w.through), "right": w.right, "slide": slide}

@@ -1,13 +1,14 @@
 """Where a pattern's panels stand around a body before they are sewn.
 
-Patterns bring a placement that was made for some body. Fitting keeps the panels' shapes and sizes and moves the placement:
-a garment with shoulders to the shoulders of this body, another one to where its top opening fits around the trunk; then
-panels that would cross the body are pushed outwards.
+Patterns bring a placement that was made for some body. Fitting moves it: a garment with shoulders to the shoulders of this
+body, another one to where its top opening fits around the trunk. A pattern that is too tight at bust, waist or hips, or far
+too wide at all of them, is scaled as a whole; then panels that would cross the body are pushed outwards.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -18,10 +19,17 @@ from clothgym.dressing.sewing import opening_lengths
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
 from clothgym.rig import girth, heights_above, section_hull
+from clothgym.sizes import sizes
 
 _SHOULDER_CLEARANCE = 0.02
 """[m] shoulder seams stand this far above the shoulders: lower, they start inside the body."""
 _PANEL_CLEARANCE = 0.02
+_TIGHTEST, _SNUG = 1.0, 1.04
+"""A pattern that is narrower than this share of a girth is made as wide as the second."""
+_WIDEST, _LOOSE = 1.3, 1.15
+"""The same for one that is wider everywhere."""
+_SKIN = 4e-3
+"""[m] cloth lies this far from the skin."""
 _COARSE = 0.03
 """[m] edges of the garment that the fit is found with."""
 _PUSH_ROUNDS = 30
@@ -32,11 +40,64 @@ _TRUNK_SHARE = 0.125
 
 
 def fit(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
-    """The pattern with its placement moved to a body, and what was done, a line each.
+    """The pattern scaled by girths where it needs that, its placement moved to a body, and what was done, a line each.
 
     Raises:
         ValueError: the pattern has no opening.
     """
+    pattern, notes = _moved(pattern, body)
+    factor, why = _factor(pattern, body)
+    if factor != 1.0:
+        pattern, again = _moved(pattern.scaled(factor), body)
+        notes = (f"fit: scaled by {factor:.3f}: {why}", *again)
+    pushed, shifts = clear(pattern, body)
+    return pushed, (*notes, *shifts)
+
+
+def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
+    """How much larger a placed pattern must be made, and why; 1 where it fits or the body cannot be measured."""
+    try:
+        s = sizes(body)
+    except ValueError:
+        return 1.0, ""
+    ratios = {}
+    for name, heights, girth_there in (
+        ("bust", np.linspace(s.waist_height, s.bust_height, 9), s.bust_girth),  # armholes reach below the bust
+        ("waist", [s.waist_height], s.waist_girth),
+        ("hips", [s.hip_height], s.hip_girth),
+    ):
+        width = max(_flat_girth(pattern, float(y), s.centre, 1.5 * s.shoulder_half) for y in heights)
+        if width > 0.0:
+            ratios[name] = width / (girth_there + 2.0 * math.pi * _SKIN)
+    if not ratios:
+        return 1.0, ""
+    tight = min(ratios, key=lambda name: ratios[name])
+    ratio = ratios[tight]
+    if ratio < _TIGHTEST:
+        return _SNUG / ratio, f"{100 * ratio:.0f} % of the {tight} of {body.name}"
+    if ratio > _WIDEST:
+        return _LOOSE / ratio, f"{100 * ratio:.0f} % of the {tight} of {body.name}, where it is tightest"
+    return 1.0, ""
+
+
+def _flat_girth(pattern: Pattern, height: float, centre: float, reach: float) -> float:
+    """Width of all panels together at a height [m], without those that are further out than the reach: sleeves."""
+    total = 0.0
+    for panel in pattern.panels:
+        points = panel.placed(panel.outline(_COARSE))
+        if abs(points[:, 0].mean() - centre) > reach:
+            continue
+        after = np.roll(points, -1, axis=0)
+        cut = (points[:, 1] > height) != (after[:, 1] > height)
+        share = (height - points[cut, 1]) / (after[cut, 1] - points[cut, 1])
+        line = points[cut] + share[:, None] * (after[cut] - points[cut])
+        line = line[np.argsort(line[:, 0])]
+        total += float(np.linalg.norm(line[1::2] - line[0 : 2 * len(line[1::2]) : 2], axis=1).sum())
+    return total
+
+
+def _moved(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
+    """The pattern with its placement moved to a body."""
     garment = assemble(pattern, _COARSE)
     if not garment.openings:
         raise ValueError(f"pattern {pattern.name!r}: closed all over; a garment needs an opening")
@@ -47,11 +108,7 @@ def fit(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
     else:
         move = _to_waist(garment, body)
         what = "waist"
-    moved = pattern.moved(move)
-    notes = [f"fit: placement moved by {_mm(move)} mm to the {what} of {body.name}"]
-    pushed, shifts = _clear(moved, body)
-    notes.extend(f"fit: panel {name} moved {_mm(shift)} mm out of the body" for name, shift in shifts.items())
-    return pushed, tuple(notes)
+    return pattern.moved(move), (f"fit: placement moved by {_mm(move)} mm to the {what} of {body.name}",)
 
 
 def _mm(vector: FloatArray) -> str:
@@ -104,9 +161,13 @@ def _to_shoulders(garment: Garment, shoulders: np.ndarray, body: Body) -> FloatA
     depths = np.linspace(low[2], high[2], 81)
     # columns that meet nothing stay out: sleeves may reach over the end of an arm
     tops = np.full((len(points), len(depths)), -np.inf)
+    across = v[body.mesh.faces][:, :, 0]
+    first, last = across.min(axis=1), across.max(axis=1)
     for n, point in enumerate(points):
+        x = float(point[0] - centre + middle)
+        near = body.mesh.faces[(first <= x) & (x <= last)]
         for m, z in enumerate(depths):
-            heights = heights_above(v, body.mesh.faces, point[0] - centre + middle, float(z))
+            heights = heights_above(v, near, x, float(z))
             if len(heights):
                 tops[n, m] = heights[-1]
     on_body = np.isfinite(tops.max(axis=1))
@@ -150,10 +211,10 @@ def _trunk_faces(body: Body) -> np.ndarray:
     return faces[np.abs(centres[:, 0] - middle) <= half]
 
 
-def _clear(pattern: Pattern, body: Body) -> tuple[Pattern, dict[str, FloatArray]]:
-    """Panels pushed outwards along their normals until none is nearer to the body than the clearance."""
+def clear(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
+    """Panels pushed outwards along their normals until none is nearer to the body than the clearance; a line for each."""
     surface = BodyMesh(body.mesh.vertices, body.mesh.faces)
-    panels, shifts = [], {}
+    panels, notes = [], []
     for panel in pattern.panels:
         outline = panel.outline(_COARSE)
         inner = outline.mean(axis=0) + np.linspace(0.0, 1.0, 8)[:, None, None] * (outline - outline.mean(axis=0))
@@ -168,6 +229,6 @@ def _clear(pattern: Pattern, body: Body) -> tuple[Pattern, dict[str, FloatArray]
                 break
             moved += max(0.005, 0.5 * (_PANEL_CLEARANCE - near))
         if moved > 0.0:
-            shifts[panel.name] = moved * normal
+            notes.append(f"fit: panel {panel.name} moved {_mm(moved * normal)} mm out of the body")
         panels.append(dataclasses.replace(panel, translation=tuple(np.asarray(panel.translation) + moved * normal)))
-    return dataclasses.replace(pattern, panels=tuple(panels)), shifts
+    return dataclasses.replace(pattern, panels=tuple(panels)), tuple(notes)

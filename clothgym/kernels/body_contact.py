@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
-from clothgym.kernels.body_map import BodyMap, find_plane, side_of
+from clothgym._jit import bare, kernel
+from clothgym.kernels.body_map import BodyMap, find_plane, sides_of
 from clothgym.kernels.contact import project_contacts
 from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import (
@@ -24,7 +24,7 @@ from clothgym.kernels.integrate import (
 )
 
 _LEEWAY = 4e-3
-"""[m] faces whose points are further from the body than this when a substep begins are left alone in its sweeps."""
+"""[m] faces whose points are further from the body than this are left alone, until a vertex may have come half as far."""
 
 
 class BodyContact(NamedTuple):
@@ -39,34 +39,53 @@ class BodyContact(NamedTuple):
     rebound: float  # C_refl of eq. 12
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
-    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body in this substep, and which
-    side: NDArray  # (V,) int8 side of the body at the start of the substep
+    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body, and which
+    travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
+    clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
+    side: NDArray  # (V,) int8 sides of the body at the start of the substep, see `body_map.sides_of`
     normal: NDArray  # (V, 3) normal of the last contact
     pressed: NDArray  # (V,) sum of corrections along the normal [m], 0 = no contact
     dragged: NDArray  # (V, 3) sum of corrections by friction [m]
     moved: NDArray  # (V, 3) sum of all corrections [m]
     approach: NDArray  # (V, 3) way of the substep before contact [m]
-    pushes: NDArray  # (V, 4) sum of the corrections that faces ask for, and their number
+    carried: NDArray  # (V, 3) way of the body's surface at the last contact, in this substep [m]
+    pushes: (
+        NDArray  # (V, 7) sum of the corrections that faces ask for, their number, sum of the surface's velocities there
+    )
     forces: NDArray  # (V, 3) force of the body on each vertex, summed over the substeps of a step [N]
 
 
-@device
-def begin_contact(x, p, contact):
+@bare
+def begin_contact(x, p, contact, dt):
     """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
+    before = contact.clock[0]
+    contact.clock[0] = before - dt
+    longest = 0.0
     for i in range(x.shape[0]):
         contact.pressed[i] = 0.0
         for c in range(3):
             contact.dragged[i, c] = 0.0
             contact.moved[i, c] = 0.0
+            contact.carried[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
-        contact.side[i] = side_of(x[i, 0], x[i, 1], x[i, 2], contact.map)
-    _find_near_faces(p, contact)
+        longest = max(
+            longest,
+            contact.approach[i, 0] * contact.approach[i, 0]
+            + contact.approach[i, 1] * contact.approach[i, 1]
+            + contact.approach[i, 2] * contact.approach[i, 2],
+        )
+        contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], contact.map, before)
+    contact.travel[0] += math.sqrt(longest)
+    if contact.travel[0] > 0.5 * _LEEWAY or contact.map.flow.shape[0] > 0:
+        _find_near_faces(p, contact)
+        contact.travel[0] = 0.0
 
 
-@device
+@bare
 def _find_near_faces(p, contact):
-    """Faces with a point near the body on the way to p: most of a garment hangs free, and its sweeps need not look."""
+    """Faces with a point near the body at p: most of a garment hangs free, and its sweeps need not look."""
     points = contact.face_points
+    age = contact.clock[0]
     count = 0
     for f in range(contact.faces.shape[0] if points.shape[0] > 0 else 0):
         a = contact.faces[f, 0]
@@ -76,7 +95,7 @@ def _find_near_faces(p, contact):
             x = points[n, 0] * p[a, 0] + points[n, 1] * p[b, 0] + points[n, 2] * p[c, 0]
             y = points[n, 0] * p[a, 1] + points[n, 1] * p[b, 1] + points[n, 2] * p[c, 1]
             z = points[n, 0] * p[a, 2] + points[n, 1] * p[b, 2] + points[n, 2] * p[c, 2]
-            texel, _, _ = find_plane(x, y, z, -1, contact.map, contact.face_tolerance + _LEEWAY)
+            texel, _, _ = find_plane(x, y, z, 0, contact.map, contact.face_tolerance + _LEEWAY, age)
             if texel >= 0:
                 count += 1
                 contact.near_faces[count] = f
@@ -84,7 +103,7 @@ def _find_near_faces(p, contact):
     contact.near_faces[0] = count
 
 
-@device
+@bare
 def _shift(p, contact, i, nx, ny, nz, amount):
     p[i, 0] += amount * nx
     p[i, 1] += amount * ny
@@ -98,16 +117,16 @@ def _shift(p, contact, i, nx, ny, nz, amount):
     contact.pressed[i] += amount
 
 
-@device
+@bare
 def _hold_back(x, p, contact, i):
-    """Coulomb friction at position level: undoes the way along the surface since the start of the substep, up to
-    friction times what the body pressed."""
+    """Coulomb friction at position level: undoes the way along the surface since the start of the substep, as far as
+    the surface has not come along, up to friction times what the body pressed."""
     nx = contact.normal[i, 0]
     ny = contact.normal[i, 1]
     nz = contact.normal[i, 2]
-    tx = p[i, 0] - x[i, 0]
-    ty = p[i, 1] - x[i, 1]
-    tz = p[i, 2] - x[i, 2]
+    tx = p[i, 0] - x[i, 0] - contact.carried[i, 0]
+    ty = p[i, 1] - x[i, 1] - contact.carried[i, 1]
+    tz = p[i, 2] - x[i, 2] - contact.carried[i, 2]
     along = tx * nx + ty * ny + tz * nz
     gx = contact.dragged[i, 0] - (tx - along * nx)
     gy = contact.dragged[i, 1] - (ty - along * ny)
@@ -129,21 +148,23 @@ def _hold_back(x, p, contact, i):
     contact.moved[i, 2] += gz
 
 
-@device
-def _test_faces(p, inverse_masses, contact):
+@bare
+def _test_faces(p, inverse_masses, contact, dt):
     """Points of each face inside the body push its corners by their weights; several answers at a vertex are averaged."""
     pushes = contact.pushes
     pushes[:] = 0.0
     found = False
     points = contact.face_points
+    age = contact.clock[0]
+    flow = contact.map.flow
     for near in range(1, contact.near_faces[0] + 1):
         f = contact.near_faces[near]
         a = contact.faces[f, 0]
         b = contact.faces[f, 1]
         c = contact.faces[f, 2]
         from_side = contact.side[a]
-        if contact.side[b] != from_side or contact.side[c] != from_side:
-            from_side = -1
+        # of each view, what all corners have in common: bits of front and back cancel
+        from_side &= contact.side[b] & contact.side[c]
         for n in range(points.shape[0]):
             wa = points[n, 0]
             wb = points[n, 1]
@@ -151,7 +172,7 @@ def _test_faces(p, inverse_masses, contact):
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            texel, side, distance = find_plane(x, y, z, from_side, contact.map, contact.face_tolerance)
+            texel, side, distance = find_plane(x, y, z, from_side, contact.map, contact.face_tolerance, age)
             if texel < 0:
                 continue
             found = True
@@ -162,6 +183,9 @@ def _test_faces(p, inverse_masses, contact):
                 for axis in range(3):
                     pushes[v, axis] += amount * points[n, k] * contact.map.planes[texel, 4 * side + axis]
                 pushes[v, 3] += 1.0
+                if flow.shape[0] > 0:
+                    for axis in range(3):
+                        pushes[v, 4 + axis] += flow[texel, 3 * side + axis]
     if not found:
         return
     for i in range(p.shape[0]):
@@ -173,46 +197,62 @@ def _test_faces(p, inverse_masses, contact):
         size = math.sqrt(x * x + y * y + z * z)
         if size > 0.0:
             _shift(p, contact, i, x / size, y / size, z / size, size)
+            if flow.shape[0] > 0:
+                for axis in range(3):
+                    contact.carried[i, axis] = dt * pushes[i, 4 + axis] / pushes[i, 3]
 
 
-@device
-def keep_off_body(x, p, inverse_masses, contact):
+@bare
+def keep_off_body(x, p, inverse_masses, contact, dt):
     """One sweep: points of faces, then vertices (which have the last word), then friction."""
     if contact.face_points.shape[0] > 0:
-        _test_faces(p, inverse_masses, contact)
+        _test_faces(p, inverse_masses, contact, dt)
+    age = contact.clock[0]
+    planes = contact.map.planes
+    flow = contact.map.flow
     for i in range(p.shape[0]):
         if inverse_masses[i] == 0.0:
             continue
-        texel, side, distance = find_plane(p[i, 0], p[i, 1], p[i, 2], contact.side[i], contact.map, contact.tolerance)
+        texel, side, distance = find_plane(
+            p[i, 0], p[i, 1], p[i, 2], contact.side[i], contact.map, contact.tolerance, age
+        )
         if texel >= 0:
-            planes = contact.map.planes
             at = 4 * side
             _shift(p, contact, i, planes[texel, at], planes[texel, at + 1], planes[texel, at + 2],
                    contact.tolerance - distance)  # fmt: skip
+            if flow.shape[0] > 0:
+                for c in range(3):
+                    contact.carried[i, c] = dt * flow[texel, 3 * side + c]
         if contact.pressed[i] > 0.0 and contact.friction > 0.0:
             _hold_back(x, p, contact, i)
 
 
-@device
+@bare
 def answer_velocities(v, inverse_masses, contact, dt):
     """Velocities of touching vertices: v_res = C_fric v_t - C_refl v_n [Vassilev 2001, eq. 12], for approaching ones.
 
-    v_n is the speed before the contact; speed that only the position correction gave is taken away. Books the forces:
-    all the momentum that the body gives, by corrections and here.
+    Velocities are those past the body's surface. v_n is the speed before the contact; speed that only the position
+    correction gave is taken away. Books the forces: all the momentum that the body gives, by corrections and here.
     """
     for i in range(v.shape[0]):
         if contact.pressed[i] == 0.0:
             continue
-        n = contact.normal[i]
-        speed = v[i, 0] * n[0] + v[i, 1] * n[1] + v[i, 2] * n[2]
-        came = (contact.approach[i, 0] * n[0] + contact.approach[i, 1] * n[1] + contact.approach[i, 2] * n[2]) / dt
+        nx = contact.normal[i, 0]
+        ny = contact.normal[i, 1]
+        nz = contact.normal[i, 2]
+        # of the body's surface along the normal
+        rising = (contact.carried[i, 0] * nx + contact.carried[i, 1] * ny + contact.carried[i, 2] * nz) / dt
+        speed = v[i, 0] * nx + v[i, 1] * ny + v[i, 2] * nz - rising
+        came = (contact.approach[i, 0] * nx + contact.approach[i, 1] * ny + contact.approach[i, 2] * nz) / dt - rising
         # came < 0: approached, and leaves with C_refl of it; otherwise it was leaving by itself, and keeps that
         leaving = -contact.rebound * came if came < 0.0 else min(max(speed, 0.0), came)
         slide = contact.slide if came < 0.0 else 1.0
         mass = 1.0 / inverse_masses[i]
         for c in range(3):
             before = v[i, c]
-            v[i, c] = slide * (before - speed * n[c]) + leaving * n[c]
+            surface = contact.carried[i, c] / dt
+            normal = contact.normal[i, c]
+            v[i, c] = surface + slide * (before - surface - speed * normal) + leaving * normal
             contact.forces[i, c] += mass * (contact.moved[i, c] / dt + v[i, c] - before) / dt
 
 
@@ -222,14 +262,14 @@ def xpbd_substeps_on_body(x, v, p, cloth, radii, motion, ground, grips, multipli
     w = cloth.inverse_masses
     for n in range(count):
         accelerate(x, v, p, cloth, motion)
-        begin_contact(x, p, contact)
+        begin_contact(x, p, contact, motion.dt)
         multipliers[:] = 0.0
         grips.multipliers[:] = 0.0
         for _ in range(motion.sweeps):
             project_elastic(p, cloth, motion.dt, multipliers)
             hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)
             keep_above_ground(x, p, w, radii, ground)
-            keep_off_body(x, p, w, contact)
+            keep_off_body(x, p, w, contact, motion.dt)
         add_grip_forces(grips, motion.dt)
         finish_substep(x, v, p, motion.dt)
         answer_velocities(v, w, contact, motion.dt)
@@ -241,11 +281,11 @@ def euler_substeps_on_body(x, v, p, f, cloth, radii, motion, ground, grips, cont
     w = cloth.inverse_masses
     for n in range(count):
         euler_positions(x, v, p, f, cloth, motion)
-        begin_contact(x, p, contact)
+        begin_contact(x, p, contact, motion.dt)
         grips.multipliers[:] = 0.0
         hold_grips(p, w, grips, motion.dt, (n + 1) * motion.dt)
         keep_above_ground(x, p, w, radii, ground)
-        keep_off_body(x, p, w, contact)
+        keep_off_body(x, p, w, contact, motion.dt)
         add_grip_forces(grips, motion.dt)
         finish_substep(x, v, p, motion.dt)
         answer_velocities(v, w, contact, motion.dt)
@@ -257,7 +297,7 @@ def solve_on_body(
 ):
     """`contact.solve` with a body, which has the last word in every sweep."""
     w = cloth.inverse_masses
-    begin_contact(x, p, contact)
+    begin_contact(x, p, contact, motion.dt)
     multipliers[:] = 0.0
     grips.multipliers[:] = 0.0
     for _ in range(motion.sweeps):
@@ -266,7 +306,7 @@ def solve_on_body(
         hold_grips(p, w, grips, motion.dt, (substep + 1) * motion.dt)
         project_contacts(x, p, w, contacts, count, friction, motion.dt)
         keep_above_ground(x, p, w, radii, ground)
-        keep_off_body(x, p, w, contact)
+        keep_off_body(x, p, w, contact, motion.dt)
     add_grip_forces(grips, motion.dt)
 
 

@@ -6,6 +6,12 @@ thereabouts: a plane holds near its texel only, and steep ones would reach far i
 Distances are measured along the normals, so the tolerance is the same in front, at the back and at the sides; with the
 paper's depth along z it vanishes there, and without the outline's plane surfaces that run along z have no normal: the
 top of a table seen from its front, a foot, a shoulder.
+
+What one pair of views cannot see, others may: a bowl is open for views along y. A point is inside where every pair says so,
+and the answer is that of the pair that has it least deep.
+
+Bodies that move are drawn where they will be at the end of a step, with the velocity of what each plane belongs to: within
+the step planes stand where they were then.
 """
 
 from __future__ import annotations
@@ -16,38 +22,92 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 from clothgym.kernels.raster import face_normal
 
+PLANES, DRIFT = 16, 12
+"""Numbers a texel, and the first of the three speeds among them."""
 
-class BodyMap(NamedTuple):
-    """What queries read."""
+FRONT, BACK = 1, 2
+"""Sides of the body, two bits for each pair of views; 0 = beside it, unknown."""
 
-    planes: NDArray  # (rows * columns, 12) float32: normal and offset of front, back and outline; front inf = nothing
-    bounds: NDArray  # (rows * columns, 2) float32: least and greatest z - middle of the body around each texel [m]
+
+class View(NamedTuple):
+    """Where the texels of a pair of views lie: plain numbers, since kernels would count references to arrays in loops.
+
+    Seen along an axis c, a point is at (a, b) with a = c + 1 and b = c + 2, cyclic; (x, y) for views along z.
+    """
+
+    first: int  # texel
     rows: int
     columns: int
-    left: float  # x of the left border [m]
-    bottom: float  # y of the lower border [m]
-    middle: float  # z that offsets are measured from [m]
+    axis: int
+    left: float  # [m]
+    bottom: float  # [m]
+    middle: float  # c that bounds are measured from [m]
     pixel: float  # size of a texel [m]
 
 
+class BodyMap(NamedTuple):
+    """What queries read. Texels of all views stand one after the other."""
+
+    planes: NDArray
+    """(N, 16) float32: normal and offset from the origin of front, back and outline; the speed [m/s] along each normal of what
+    the plane belongs to; one to spare. Front inf: there is nothing."""
+    bounds: NDArray  # (N, 2) float32: least and greatest c of the body around each texel, from the origin [m]
+    flow: NDArray  # (N, 9) float32 velocity [m/s] of what the planes belong to; (0, 9) = nothing moves
+    origin: tuple[float, float, float]  # [m]
+    one: View
+    two: View | None
+    """None makes kernels of their own, in which one pair of views costs what it would without others."""
+    three: View | None
+
+
+@bare
+def view_point(x, y, z, axis):
+    """(a, b, c) of a point seen along an axis."""
+    if axis == 2:
+        return x, y, z
+    if axis == 1:
+        return z, x, y
+    return y, z, x
+
+
 @kernel
-def planes_of_layers(vertices, normals, faces, layers, frame, interpolate, planes, depths):
+def extent(vertices, faces, box):
+    """Least and greatest x, y, z, box (2, 3), of the vertices (V, 3) that faces (F, 3) use [m]."""
+    box[0] = np.inf
+    box[1] = -np.inf
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            for c in range(3):
+                value = vertices[faces[f, k], c]
+                box[0, c] = min(box[0, c], value)
+                box[1, c] = max(box[1, c], value)
+
+
+@kernel
+def planes_of_layers(vertices, normals, velocities, faces, layers, frame, view, levels, planes, depths, flow):
     """Tangent planes from what the rasteriser left: the point by barycentrics, and a normal.
 
     Args:
-        vertices, normals: (V, 3) float64.
+        vertices: (V, 3) float64 [m].
+        normals: (V, 3) of the vertices, or (0, 3): the faces' own instead of interpolated and renormalised ones, as the paper
+            has them.
+        velocities: (V, 3) [m/s], or (0, 3): nothing moves.
         faces: (F, 3) int32.
         layers: two `raster.Layers`, row 0 at the top.
-        frame: (4,) left, bottom, middle [m], pixel [m].
-        interpolate: normals of the vertices interpolated and renormalised, as the paper has them; otherwise the face's own.
-        planes: (rows * columns, 12) float32, of which front and back are written; row 0 at the bottom.
-        depths: (2, rows, columns) float32, written: z - middle of the front and of the back [m]; -inf, inf = nothing.
+        frame: (3,) origin of the offsets [m].
+        view: (3,) world axes of a, b, c.
+        planes: (rows * columns, 16) float32, of which front and back are written; row 0 at the bottom.
+        levels: 0, or that components of normals are rounded to 1 / levels, as colours of [Vassilev 2001, eq. 6 and 7] do.
+        depths: (2, rows, columns) float32, written: c - origin of the front and of the back [m]; -inf, inf = nothing.
+        flow: (rows * columns, 9) float32, of which front and back are written, or (0, 9).
     """
     _, rows, columns = layers.depth.shape
-    left, bottom, middle = frame[0], frame[1], frame[2]
+    along = view[2]
+    normal = np.empty(3)
+    point = np.empty(3)
     for row in range(rows):
         for column in range(columns):
             texel = row * columns + column
@@ -61,6 +121,7 @@ def planes_of_layers(vertices, normals, faces, layers, frame, interpolate, plane
                     planes[texel, at + 1] = 0.0
                     planes[texel, at + 2] = 0.0
                     planes[texel, at + 3] = np.inf
+                    planes[texel, DRIFT + side] = 0.0
                     depths[side, row, column] = -outwards * np.inf
                     continue
                 face = layers.triangle[side, rows - 1 - row, column]
@@ -68,97 +129,148 @@ def planes_of_layers(vertices, normals, faces, layers, frame, interpolate, plane
                 wc = np.float64(layers.barycentrics[side, rows - 1 - row, column, 1])
                 wa = 1.0 - wb - wc
                 a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-                if interpolate:
-                    nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
-                    ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
-                    nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
+                if normals.shape[0] > 0:
+                    for k in range(3):
+                        normal[k] = wa * normals[a, k] + wb * normals[b, k] + wc * normals[c, k]
                 else:
-                    nx, ny, nz = face_normal(vertices, faces, face)
+                    normal[0], normal[1], normal[2] = face_normal(vertices, faces, face)
+                if levels > 0:
+                    size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+                    for k in range(3):
+                        # 0 to 2 levels stand for -1 to 1
+                        colour = math.floor(levels * (normal[k] / max(size, 1e-300) + 1.0) + 0.5)
+                        normal[k] = colour / levels - 1.0
                 # what is seen faces the view; interpolated normals at the outline may not
-                nz = outwards * max(0.0, outwards * nz)
-                size = math.sqrt(nx * nx + ny * ny + nz * nz)
+                normal[along] = outwards * max(0.0, outwards * normal[along])
+                size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
                 if size < 1e-12:  # normals that cancel: look along the view
-                    nx, ny, nz, size = 0.0, 0.0, outwards, 1.0
-                nx /= size
-                ny /= size
-                nz /= size
-                x = wa * vertices[a, 0] + wb * vertices[b, 0] + wc * vertices[c, 0] - left
-                y = wa * vertices[a, 1] + wb * vertices[b, 1] + wc * vertices[c, 1] - bottom
-                z = wa * vertices[a, 2] + wb * vertices[b, 2] + wc * vertices[c, 2] - middle
-                depths[side, row, column] = np.float32(z)
-                planes[texel, at] = np.float32(nx)
-                planes[texel, at + 1] = np.float32(ny)
-                planes[texel, at + 2] = np.float32(nz)
-                planes[texel, at + 3] = np.float32(-(nx * x + ny * y + nz * z))
+                    normal[0], normal[1], normal[2] = 0.0, 0.0, 0.0
+                    normal[along], size = outwards, 1.0
+                offset = 0.0
+                for k in range(3):
+                    normal[k] /= size
+                    point[k] = wa * vertices[a, k] + wb * vertices[b, k] + wc * vertices[c, k] - frame[k]
+                    offset -= normal[k] * point[k]
+                    planes[texel, at + k] = np.float32(normal[k])
+                depths[side, row, column] = np.float32(point[along])
+                planes[texel, at + 3] = np.float32(offset)
+                drift = 0.0
+                if flow.shape[0] > 0:
+                    for k in range(3):
+                        speed = wa * velocities[a, k] + wb * velocities[b, k] + wc * velocities[c, k]
+                        flow[texel, 3 * side + k] = np.float32(speed)
+                        drift += speed * normal[k]
+                planes[texel, DRIFT + side] = np.float32(drift)
 
 
-@device
-def texel_of(x, y, body):
-    """Number of the texel above which a point lies, -1 outside the map."""
-    column = math.floor((x - body.left) / body.pixel)
-    row = math.floor((y - body.bottom) / body.pixel)
-    if column < 0.0 or row < 0.0 or column >= body.columns or row >= body.rows:
+@bare
+def texel_of(a, b, view):
+    """Number of the texel above which a point lies, -1 outside the view."""
+    column = math.floor((a - view.left) / view.pixel)
+    row = math.floor((b - view.bottom) / view.pixel)
+    if column < 0.0 or row < 0.0 or column >= view.columns or row >= view.rows:
         return -1
-    return np.int64(row) * body.columns + np.int64(column)
+    return view.first + np.int64(row) * view.columns + np.int64(column)
 
 
-@device
-def plane_distance(x, y, z, texel, side, body):
-    """Signed distance [m] to the plane of the front (side 0), back (1) or outline (2) of a texel; front inf: there is none."""
+@bare
+def plane_distance(x, y, z, texel, side, body, age):
+    """Signed distance [m] to the plane of the front (side 0), back (1) or outline (2) of a texel, `age` seconds before the
+    map's moment; front inf: there is none."""
     at = 4 * side
     planes = body.planes
     return (
-        planes[texel, at] * (x - body.left)
-        + planes[texel, at + 1] * (y - body.bottom)
-        + planes[texel, at + 2] * (z - body.middle)
+        planes[texel, at] * (x - body.origin[0])
+        + planes[texel, at + 1] * (y - body.origin[1])
+        + planes[texel, at + 2] * (z - body.origin[2])
         + planes[texel, at + 3]
+        + planes[texel, DRIFT + side] * age
     )
 
 
-@device
-def side_of(x, y, z, body):
-    """The side of the body that a point is on: 0 front, 1 back, -1 = above no part of it."""
-    texel = texel_of(x, y, body)
+@bare
+def _side_in(x, y, z, view, body, age):
+    a, b, c = view_point(x, y, z, view.axis)
+    texel = texel_of(a, b, view)
     if texel < 0:
-        return -1
-    front = plane_distance(x, y, z, texel, 0, body)
-    if front == np.inf:
-        return -1
-    if z - body.middle > body.bounds[texel, 1]:
         return 0
-    if z - body.middle < body.bounds[texel, 0]:
-        return 1
-    return 0 if front >= plane_distance(x, y, z, texel, 1, body) else 1
+    front = plane_distance(x, y, z, texel, 0, body, age)
+    if front == np.inf:
+        return 0
+    height = c - view.middle
+    if height > body.bounds[texel, 1]:
+        return FRONT
+    if height < body.bounds[texel, 0]:
+        return BACK
+    return FRONT if front >= plane_distance(x, y, z, texel, 1, body, age) else BACK
 
 
-@device
-def find_plane(x, y, z, came_from, body, tolerance):
-    """Whether a point lies within the tolerance of the body or inside it: texel and side of the plane to respond along,
-    and the signed distance to it; texel -1 = outside.
+@bare
+def sides_of(x, y, z, body, age):
+    """The sides of the body that a point is on: FRONT or BACK in two bits for each view, 0 = above no part of it."""
+    return _sides_in(x, y, z, body, body.two, body.three, age)
 
-    The plane is that of the side that the point came from (`side_of` before it moved), so that no point is pushed
-    through a limb to its far side; the nearer one where that is unknown. The outline's, if that is nearer than both.
-    """
-    texel = texel_of(x, y, body)
+
+@bare
+def _sides_in(x, y, z, body, two, three, age):
+    sides = _side_in(x, y, z, body.one, body, age)
+    if two is not None:  # decided when this is compiled
+        sides |= _side_in(x, y, z, two, body, age) << 2
+    if three is not None:
+        sides |= _side_in(x, y, z, three, body, age) << 4
+    return sides
+
+
+@bare
+def _plane_in(x, y, z, came_from, view, body, tolerance, age):
+    """`find_plane` in one view."""
+    a, b, c = view_point(x, y, z, view.axis)
+    texel = texel_of(a, b, view)
     if texel < 0:
         return -1, 0, 0.0
-    height = z - body.middle
+    height = c - view.middle
     if height > body.bounds[texel, 1] + tolerance or height < body.bounds[texel, 0] - tolerance:
         return -1, 0, 0.0
-    front = plane_distance(x, y, z, texel, 0, body)
+    front = plane_distance(x, y, z, texel, 0, body, age)
     if front >= tolerance:
         return -1, 0, 0.0
-    back = plane_distance(x, y, z, texel, 1, body)
+    back = plane_distance(x, y, z, texel, 1, body, age)
     if back >= tolerance:
         return -1, 0, 0.0
-    outline = plane_distance(x, y, z, texel, 2, body)
+    outline = plane_distance(x, y, z, texel, 2, body, age)
     if outline >= tolerance:
         return -1, 0, 0.0
     if outline > front and outline > back:
         return texel, 2, outline
-    if came_from == 0 or (came_from < 0 and front >= back):
+    if came_from == FRONT or (came_from != BACK and front >= back):
         return texel, 0, front
     return texel, 1, back
+
+
+@bare
+def find_plane(x, y, z, came_from, body, tolerance, age):
+    """Whether a point lies within the tolerance of the body or inside it: texel and side of the plane to respond along,
+    and the signed distance to it; texel -1 = outside.
+
+    The plane is that of the side that the point came from (`sides_of` before it moved), so that no point is pushed
+    through a limb to its far side; the nearer one where that is unknown. The outline's, if that is nearer than both.
+    Of several views, the one that has the point least deep.
+    """
+    return _least_deep(x, y, z, came_from, body, body.two, body.three, tolerance, age)
+
+
+@bare
+def _least_deep(x, y, z, came_from, body, two, three, tolerance, age):
+    texel, side, distance = _plane_in(x, y, z, came_from & 3, body.one, body, tolerance, age)
+    if two is not None and texel >= 0:
+        other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 2) & 3, two, body, tolerance, age)
+        if other < 0 or other_distance > distance:
+            texel, side, distance = other, other_side, other_distance
+    if three is not None and texel >= 0:
+        other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 4) & 3, three, body, tolerance, age)
+        if other < 0 or other_distance > distance:
+            texel, side, distance = other, other_side, other_distance
+    return texel, side, distance
 
 
 @kernel
@@ -169,7 +281,7 @@ def query(points, body, tolerance, distances, normals):
     """
     found = 0
     for i in range(points.shape[0]):
-        texel, side, distance = find_plane(points[i, 0], points[i, 1], points[i, 2], -1, body, tolerance)
+        texel, side, distance = find_plane(points[i, 0], points[i, 1], points[i, 2], 0, body, tolerance, 0.0)
         distances[i] = np.inf
         for c in range(3):
             normals[i, c] = 0.0

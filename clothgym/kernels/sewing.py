@@ -28,7 +28,7 @@ def close_seams(x, before, p, inverse_masses, ends, rest, start, first, count, t
         for i in range(vertices):
             for c in range(3):
                 p[i, c] = x[i, c] + keep * (x[i, c] - before[i, c])
-        begin_contact(x, p, contact)
+        begin_contact(x, p, contact, 0.0)
         for _ in range(sweeps):
             for e in range(ends.shape[0]):
                 i = ends[e, 0]
@@ -58,7 +58,7 @@ def close_seams(x, before, p, inverse_masses, ends, rest, start, first, count, t
                 p[j, 0] -= wj * dx
                 p[j, 1] -= wj * dy
                 p[j, 2] -= wj * dz
-            keep_off_body(x, p, inverse_masses, contact)
+            keep_off_body(x, p, inverse_masses, contact, 0.0)
         for i in range(vertices):
             for c in range(3):
                 before[i, c] = x[i, c]

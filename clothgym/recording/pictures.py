@@ -27,8 +27,10 @@ _OCTAHEDRON_FACES = np.array(
 _bodies_drawn: weakref.WeakKeyDictionary[Any, Drawable] = weakref.WeakKeyDictionary()
 
 
-def body_drawable(body: Any) -> Drawable:
-    """A body's surface, checked and shaded once: it does not move."""
+def body_drawable(body: Any, time: float = 0.0) -> Drawable:
+    """A body's surface at a time [s]; checked and shaded once if it does not move."""
+    if body.motion is not None:
+        return Drawable(body.at(time), body.mesh.faces, colour=BODY_COLOUR)
     if body not in _bodies_drawn:
         _bodies_drawn[body] = Drawable(body.mesh.vertices, body.mesh.faces, colour=BODY_COLOUR)
     return _bodies_drawn[body]
@@ -48,7 +50,7 @@ def drawables(simulation: Any) -> list[Drawable]:
         cloth_drawable(x[vertices], faces[triangles] - vertices.start, colours[number])
         for number, (_, vertices, triangles) in enumerate(ranges)
     ]
-    shapes += [body_drawable(body) for body in simulation.scene.bodies]
+    shapes += [body_drawable(body, simulation.time) for body in simulation.scene.bodies]
     for centre in simulation.grip_positions:
         shapes.append(Drawable(0.012 * _OCTAHEDRON + centre, _OCTAHEDRON_FACES, colour=GRIP_COLOUR, smooth=False))
     return shapes
@@ -56,7 +58,7 @@ def drawables(simulation: Any) -> list[Drawable]:
 
 def everything(simulation: Any) -> FloatArray:
     """(N, 3) all vertices of cloths and bodies now [m]: what a camera should hold."""
-    return np.concatenate([simulation.positions, *(body.mesh.vertices for body in simulation.scene.bodies)])
+    return np.concatenate([simulation.positions, *(body.at(simulation.time) for body in simulation.scene.bodies)])
 
 
 def draw(

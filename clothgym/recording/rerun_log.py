@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clothgym.arrays import as_faces, as_points, check_number
+from clothgym.body import named
 from clothgym.recording.rerun_chunks import ChunkWriter, Rows, normals
 from clothgym.recording.rerun_layout import blueprint, entity_part, ground_mesh
 from clothgym.recording.rerun_read import FORMAT, FORMAT_VERSION
@@ -163,8 +164,7 @@ class RerunLog:
     def open_simulation(self, simulation: Any) -> None:
         """`open` with what a Simulation holds: its cloths, bodies and ground.
 
-        The scene's bodies stand still; a simulation that has `body_meshes` (name, vertices, faces) tells at each step
-        where they are.
+        Of bodies that move, `simulation.body_meshes` (name, vertices, faces) tells at each step where they are.
         """
         positions = np.asarray(simulation.positions)
         faces = np.asarray(simulation.faces)
@@ -175,7 +175,7 @@ class RerunLog:
         scene = getattr(simulation, "scene", None)
         ground = getattr(scene, "ground", None)
         moving: list[tuple[str, ArrayLike, ArrayLike]] = list(getattr(simulation, "body_meshes", ()))
-        still = [] if hasattr(simulation, "body_meshes") else _still_bodies(scene)
+        still = _still_bodies(scene)
         everything = np.concatenate([positions, *(np.asarray(v) for _, v, _ in (*moving, *still))])
         low, high = everything.min(axis=0), everything.max(axis=0)
         low[1] = low[1] if ground is None else min(low[1], ground)
@@ -375,15 +375,9 @@ def _described_body(
 
 
 def _still_bodies(scene: Any) -> list[tuple[str, ArrayLike, ArrayLike]]:
-    """(name, vertices, faces) of a scene's bodies; those that share a name are numbered."""
-    found: list[tuple[str, ArrayLike, ArrayLike]] = []
-    for body in getattr(scene, "bodies", ()):
-        name, count = str(body.name), 1
-        while name in [n for n, _, _ in found]:
-            count += 1
-            name = f"{body.name} {count}"
-        found.append((name, body.mesh.vertices, body.mesh.faces))
-    return found
+    """(name, vertices, faces) of a scene's bodies that never move."""
+    bodies = named(getattr(scene, "bodies", ()))
+    return [(name, body.mesh.vertices, body.mesh.faces) for name, body in bodies if body.motion is None]
 
 
 def _as_points(values: ArrayLike) -> NDArray[np.float32]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.body import Body, vertices_at
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.body_contact import BodyContact
@@ -25,6 +28,9 @@ _FACE_SHARE = 0.5
 
 _FACE_PUSH = 2e-3
 """[m] a point of a face moves no further than this a sweep: a face across a limb must not throw its corners out."""
+
+_SPARE, _FASTER = 0.02, 3.0
+"""[m] and [m/s]: bodies that move are drawn this far around the cloth."""
 
 _CLAMPED = 0.1
 """Share of the tolerance by which bodies must push a vertex within a substep before it can count as clamped."""
@@ -57,15 +63,31 @@ def body_contact(
         faces=np.ascontiguousarray(faces, np.int32),
         face_points=face_points(face_parts),
         near_faces=np.zeros(1 + len(faces), np.int32),
+        clock=np.zeros(1),
+        travel=np.full(1, np.inf),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),
         dragged=np.zeros((vertex_count, 3)),
         moved=np.zeros((vertex_count, 3)),
         approach=np.zeros((vertex_count, 3)),
-        pushes=np.zeros((vertex_count, 4)),
+        carried=np.zeros((vertex_count, 3)),
+        pushes=np.zeros((vertex_count, 7)),
         forces=np.zeros((vertex_count, 3)),
     )
+
+
+def body_maps(bodies: tuple[Body, ...], fidelity: Fidelity) -> BodyMaps:
+    """Maps of bodies as a fidelity has them. Those of bodies that stand still are drawn once and shared."""
+    drawn = _drawn if any(body.motion is not None for body in bodies) else _shared
+    return drawn(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals, fidelity.body_views)
+
+
+def _drawn(bodies: tuple[Body, ...], map_size: int, margin: float, normals: str, views: str) -> BodyMaps:
+    return BodyMaps(bodies, map_size, margin, normals, views)
+
+
+_shared = lru_cache(maxsize=4)(_drawn)
 
 
 class BodyResponse:
@@ -76,8 +98,10 @@ class BodyResponse:
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         bodies = model.scene.bodies
-        self.maps = BodyMaps(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals)
-        self.label = f"body {fidelity.map_size} px, {fidelity.body_response}"
+        self.bodies, self.moving, self.step = bodies, model.scene.moving, model.scene.step
+        self.maps = body_maps(tuple(bodies), fidelity)
+        self.label = f"body {fidelity.map_size} px along {fidelity.body_views}, {fidelity.body_response}"
+        self.label += ", drawn anew each step" if self.moving else ""
         self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""
         coulomb = fidelity.body_response == "coulomb"
         self._contact = body_contact(
@@ -92,10 +116,27 @@ class BodyResponse:
         )
 
     def begin(self, frame: Frame) -> BodyContact:
-        """Ready for a step; its forces are the frame's `body_forces` from now on."""
+        """Ready for a step; its forces are the frame's `body_forces` from now on.
+
+        What moves is drawn where it is at the end of the step: from the state's time alone, so no drawing is kept.
+        """
+        if self.moving:
+            now = frame.state.time
+            soon, here = vertices_at(self.bodies, now + self.step), vertices_at(self.bodies, now)
+            self.maps.render(soon, here, self.step, self._neighbourhood(frame))
+            self._contact = self._contact._replace(map=self.maps.map)
+        self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
+        self._contact.travel[0] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
         return self._contact
+
+    def _neighbourhood(self, frame: Frame) -> FloatArray:
+        """(2, 3) box [m] that the cloth does not leave in a step, unless it gets faster by 3 m/s."""
+        x, v = frame.state.positions, frame.state.velocities
+        fastest = math.sqrt(float(np.einsum("ij,ij->i", v, v).max()))
+        room = self.maps.margin + _SPARE + (fastest + _FASTER) * self.step
+        return np.stack([x.min(axis=0) - room, x.max(axis=0) + room])
 
     def clamped(self, marks: BoolArray) -> int:
         """How many vertices the bodies press from opposite sides at the end of a step, of those not in marks (V,) yet."""

@@ -26,7 +26,7 @@ class Sewn:
         self.garment = assemble(fit(Pattern.load(name), self.body)[0], 0.025)
         self.maps = BodyMaps([self.body], 360, TOLERANCE + REACH)
         self.told = []
-        self.x = sew(self.garment, self.maps, TOLERANCE, lambda done, total: self.told.append((done, total)))
+        self.x, self.gap = sew(self.garment, self.maps, TOLERANCE, lambda done, total: self.told.append((done, total)))
         self.exact = BodyMesh(self.body.mesh.vertices, self.body.mesh.faces)
 
 

@@ -21,7 +21,6 @@ import clothgym.dressing
 from clothgym import cli
 from clothgym.body import Body
 from clothgym.commands.drape import FORMATS, encode_mesh
-from clothgym.pattern import Pattern
 
 KEYS = {
     *("worn", "at_rest", "hits", "contour_length", "strain_p99", "seam_strain_p99", "penetration_p999"),

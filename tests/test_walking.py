@@ -18,7 +18,7 @@ from clothgym.motion import Motion
 def rising_ball(speed: float = 0.2) -> cg.Body:
     ball = trimesh.creation.icosphere(3, radius=0.1)
     start = np.asarray(ball.vertices)
-    frames = [start + [0.0, speed * n / 60.0, 0.0] for n in range(121)]
+    frames = [start + np.array([0.0, speed * n / 60.0, 0.0]) for n in range(121)]
     return cg.Body(ball, "ball", motion=Motion(np.array(frames), 60.0))
 
 

@@ -89,7 +89,7 @@ def test_sections_fall_apart():
 
 def test_who_cannot_be_measured_is_told():
     ball = cg.Body(trimesh.creation.icosphere(3), "ball")
-    with pytest.raises(ValueError, match="body 'ball': no .* where a standing person"):
+    with pytest.raises(ValueError, match=r"body 'ball': no .* where a standing person"):
         sizes(ball)
 
 

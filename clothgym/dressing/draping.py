@@ -56,6 +56,8 @@ _ROUGH: dict[str, Any] = {
 _LIGHTER = 0.25
 """Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
 it there."""
+_TANGLED = 40
+"""Hits after the fall from which on untangling takes longer than falling again with self-collision."""
 _FACE_POINT = 0.012
 """[m] points of faces that are tested against the body lie this far from each other."""
 
@@ -158,6 +160,9 @@ def drape(
         if wrong and not last:
             notes.append(f"{text}: not worn {when}, {wrong}")
             continue
+        if self_collision and intersections(x, garment.faces).hit_count > _TANGLED:
+            notes.append(f"{text}: cloth passed through itself as it fell; it falls again and feels itself all the way")
+            x = sewn
         scene = dataclasses.replace(_begun(scene, x), self_collision=self_collision)
         simulation, speeds = _simulate(scene, effort, seconds, _told(progress, "drape", text), on_step)
         _lap(clock, "drape", now)

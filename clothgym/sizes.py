@@ -16,7 +16,8 @@ from clothgym.arrays import FloatArray, IntArray
 from clothgym.body import Body
 from clothgym.rig import heights_above, hull_of
 
-_STEP = 0.01
+_STEP = 0.006
+"""Sections are this share of the height apart."""
 _NECK = (0.835, 0.92)
 _SHOULDER_SHARE = 0.1
 """Shoulder joints of a body without a skeleton are this share of its height beside the middle, and"""
@@ -180,7 +181,7 @@ class _Tape:
         return self.trunk[key]
 
     def _heights(self, low: float, high: float) -> list[float]:
-        return np.arange(low, high, _STEP).tolist()
+        return np.arange(low, high, _STEP * self.height).tolist()
 
     def _missing(self, what: str) -> ValueError:
         return ValueError(
@@ -282,7 +283,7 @@ class _Tape:
         if len(out) == 0:
             raise self._missing(f"{side} arm")
         tip = out[np.argmax(np.linalg.norm(out - shoulder, axis=1))]
-        shoulder[2] = _middle(self._part(armpit - _STEP))[1]
+        shoulder[2] = _middle(self._part(armpit - _STEP * self.height))[1]
         wrist = shoulder + _WRIST_SHARE * (tip - shoulder)
         return np.array([shoulder, 0.5 * (shoulder + wrist), wrist])
 

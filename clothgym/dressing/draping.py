@@ -58,8 +58,10 @@ _LIGHTER = 0.25
 it there."""
 _TANGLED = 40
 """Hits after the fall from which on untangling takes longer than falling again with self-collision."""
-_FACE_POINT = 0.012
-"""[m] points of faces that are tested against the body lie this far from each other."""
+_FACE_POINT = 0.01
+"""[m] points of faces that are tested against the body lie this far from each other, but each side of a face"""
+_MOST_PARTS = 4
+"""has no more parts than these."""
 
 Progress = Callable[[str, float, float, str], None]
 
@@ -294,7 +296,7 @@ def _effort(scene: Scene, fidelity: Fidelity) -> Fidelity:
     if fidelity.substeps > 0 or fidelity.integrator != "xpbd":
         return fidelity
     model = ClothModel(scene, fidelity)
-    parts = math.ceil(model.mean_edge / _FACE_POINT) if fidelity.body_faces else 0
+    parts = min(math.ceil(model.mean_edge / _FACE_POINT), _MOST_PARTS) if fidelity.body_faces else 0
     substeps = max(_ROUGH["substeps"], promise.substeps_at_rest(model, fidelity.stretch_error))
     return dataclasses.replace(fidelity, substeps=substeps, sweeps=1, body_faces=parts)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -309,7 +310,7 @@ class _Tape:
             raise self._missing("arm")
         return _girth(part)
 
-    def _leg(self, crotch: float) -> dict[str, float | FloatArray]:
+    def _leg(self, crotch: float) -> dict[str, Any]:
         """Of the leg on the left, x > centre."""
         ankle, knee = self._at(0.045), self._at(0.27)
 

@@ -99,12 +99,12 @@ def test_patterns_are_placed_around_the_body_and_sewn_on(name: str, person: cg.B
     exact = BodyMesh(person.mesh.vertices, person.mesh.faces)
     panels = np.concatenate([panel.placed(panel.outline(0.04)) for panel in pattern.panels])
     assert exact.signed_distance(panels).min() > 0.01, notes
-    fitting = _Fitting(pattern, person, cg.Fidelity.preset("draft"), 0.02 if name in ("cuff", "sleeve") else 0.04)
+    fitting = _Fitting(pattern, person, cg.Fidelity.preset("draft"), 0.025)
     garment, x, _ = fitting.sew(0.0)
     found = fitting.worn(garment, x)
     assert sorted(w.expected for w in found) == sorted(LIMBS[name])
     assert not what_is_wrong(found)
-    assert exact.depth(x).max() < 2e-3
+    assert exact.depth(x).max() < 3e-3
 
 
 @pytest.mark.parametrize("name", wardrobe.NAMES)

@@ -267,7 +267,8 @@ def _settled(
     """Positions (V, 3) [m] where the garment hangs without self-collision: it falls into place at a rough effort and a
     share of its weight, then hangs with all of it, with the substeps that it will rest with."""
     alone = dataclasses.replace(scene, self_collision=False)
-    light = dataclasses.replace(alone, gravity=tuple(_LIGHTER * g for g in scene.gravity))
+    gx, gy, gz = scene.gravity
+    light = dataclasses.replace(alone, gravity=(_LIGHTER * gx, _LIGHTER * gy, _LIGHTER * gz))
     few = min(effort.body_faces, _ROUGH["body_faces"])
     rough, fine = dataclasses.replace(effort, **_ROUGH), dataclasses.replace(effort, body_faces=few)
     x = scene.start

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from clothgym.arrays import FloatArray, IntArray
 from clothgym.body import Body
 from clothgym.rig import heights_above, hull_of
 
-_STEP = 0.01
+_STEP = 0.006
+"""Sections are this share of the height apart."""
 _NECK = (0.835, 0.92)
 _SHOULDER_SHARE = 0.1
 """Shoulder joints of a body without a skeleton are this share of its height beside the middle, and"""
@@ -180,7 +182,7 @@ class _Tape:
         return self.trunk[key]
 
     def _heights(self, low: float, high: float) -> list[float]:
-        return np.arange(low, high, _STEP).tolist()
+        return np.arange(low, high, _STEP * self.height).tolist()
 
     def _missing(self, what: str) -> ValueError:
         return ValueError(
@@ -282,7 +284,7 @@ class _Tape:
         if len(out) == 0:
             raise self._missing(f"{side} arm")
         tip = out[np.argmax(np.linalg.norm(out - shoulder, axis=1))]
-        shoulder[2] = _middle(self._part(armpit - _STEP))[1]
+        shoulder[2] = _middle(self._part(armpit - _STEP * self.height))[1]
         wrist = shoulder + _WRIST_SHARE * (tip - shoulder)
         return np.array([shoulder, 0.5 * (shoulder + wrist), wrist])
 
@@ -308,7 +310,7 @@ class _Tape:
             raise self._missing("arm")
         return _girth(part)
 
-    def _leg(self, crotch: float) -> dict[str, float | FloatArray]:
+    def _leg(self, crotch: float) -> dict[str, Any]:
         """Of the leg on the left, x > centre."""
         ankle, knee = self._at(0.045), self._at(0.27)
 

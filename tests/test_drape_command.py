@@ -21,7 +21,6 @@ import clothgym.dressing
 from clothgym import cli
 from clothgym.body import Body
 from clothgym.commands.drape import FORMATS, encode_mesh
-from clothgym.pattern import Pattern
 
 KEYS = {
     *("worn", "at_rest", "hits", "contour_length", "strain_p99", "seam_strain_p99", "penetration_p999"),
@@ -142,7 +141,7 @@ def test_worn_is_zero_and_everything_is_written(say: Any, dressing: Dressing, fi
     assert document["openings"] == [{"expected": "legs", "through": ["left_leg", "right_leg"], "right": True}]
     assert document["notes"] == ["fit: moved by 3 mm"]
     asked = dressing.asked
-    assert isinstance(asked["pattern"], Pattern) and asked["pattern"].name == "skirt"
+    assert asked["pattern"] == "skirt", "what the package drafts is cut to the body, so it goes there by name"
     assert asked["body"].mesh.vertices[:, 1].max() == pytest.approx(1.8)
     given = ("fit", "fidelity", "edge_length", "material", "seconds")
     assert [asked[name] for name in given] == [False, cg.Fidelity.preset("draft"), 0.03, "silk", 1.5]
@@ -257,7 +256,10 @@ def test_a_diverged_drape_is_one_line_and_its_recording_is_closed(say: Any, dres
         ("skirt --body female --seconds nan", "--seconds = nan"),
         ("skirt --body female --material velvet", "--material = 'velvet': expected one of cotton"),
         ("skirt --body female --fidelity fast", "fidelity = 'fast'"),
-        ("skirt --body female --animate walk", "--animate"),
+        ("skirt --body female --animate dance", "--animate = 'dance': expected walk"),
+        ("skirt --body female --mesher hexagons", "--mesher = 'hexagons'"),
+        ("skirt --body female --mesher quads --grid 12", "--grid = '12': expected columns x rows"),
+        ("skirt --body female --closing glue", "--closing = 'glue'"),
     ],
 )
 def test_bad_input_is_one_line(

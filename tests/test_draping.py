@@ -12,6 +12,7 @@ import trimesh
 
 import clothgym as cg
 from clothgym import body as bodies
+from clothgym.detection.body_maps import BodyMaps
 from clothgym.dressing import draping, placement, sewing
 from clothgym.garment import assemble
 from clothgym.pattern import Pattern
@@ -119,7 +120,8 @@ def test_a_garment_that_falls_off_is_not_worn(woman: cg.Body, monkeypatch: pytes
     """A skirt 1.6 times as wide slides to the feet: closed, clean, both legs through it, and still not worn."""
     monkeypatch.setattr(draping, "SHIFTS", (0.0,))
     wide = Pattern.load("skirt").scaled(1.6, placement=False)
-    result = cg.drape(wide, woman, edge_length=0.06, seconds=1.5)
+    at_waist, _ = placement._moved(wide, woman)
+    result = cg.drape(at_waist, woman, fit=False, edge_length=0.06, seconds=1.5)
     assert all(opening["right"] for opening in result.report["openings"])
     assert not result.report["worn"]
     assert any("slid by" in note for note in result.notes)
@@ -129,8 +131,8 @@ def test_sewing_closes_without_hits_and_without_a_twist(woman: cg.Body):
     for name in LIMBS:
         fitted, _ = placement.fit(Pattern.load(name), woman)
         garment = assemble(fitted, 0.025)
-        maps = draping.BodyMaps([woman], 360, 0.015)
-        x = sewing.sew(garment, maps, 3e-3)
+        maps = BodyMaps([woman], 360, 0.015)
+        x, _ = sewing.sew(garment, maps, 3e-3)
         assert cg.intersections(x, garment.faces).hit_count == 0
         assert np.percentile(np.abs(strains(garment, x)), 99) < 0.15
         low = garment.seam_vertices[x[garment.seam_vertices, 1] < 1.1]

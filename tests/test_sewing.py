@@ -26,7 +26,7 @@ class Sewn:
         self.garment = assemble(fit(Pattern.load(name), self.body)[0], 0.025)
         self.maps = BodyMaps([self.body], 360, TOLERANCE + REACH)
         self.told = []
-        self.x = sew(self.garment, self.maps, TOLERANCE, lambda done, total: self.told.append((done, total)))
+        self.x, self.gap = sew(self.garment, self.maps, TOLERANCE, lambda done, total: self.told.append((done, total)))
         self.exact = BodyMesh(self.body.mesh.vertices, self.body.mesh.faces)
 
 
@@ -102,7 +102,8 @@ def test_progress_runs_to_the_end(sewn):
 
 
 def test_the_same_bits_again(sewn):
-    assert sew(sewn.garment, sewn.maps, TOLERANCE).tobytes() == sewn.x.tobytes()
+    again, gap = sew(sewn.garment, sewn.maps, TOLERANCE)
+    assert again.tobytes() == sewn.x.tobytes() and gap == sewn.gap == 0.0
 
 
 def test_openings_keep_their_lengths(sewn):
@@ -110,3 +111,15 @@ def test_openings_keep_their_lengths(sewn):
         ring = sewn.x[loop]
         length = np.linalg.norm(ring - np.roll(ring, -1, axis=0), axis=1).sum()
         assert length == pytest.approx(rest, rel=0.12)
+
+
+def test_seam_forces_close_a_skirt_too(sewn):
+    """[Vassilev 2001]: panels start apart, forces along the seams draw them together; what is left is welded."""
+    x, gap = sew(sewn.garment, sewn.maps, TOLERANCE, closing="forces")
+    assert 0.0 < gap < 0.02 < sewn.garment.seam_gap
+    surface, rest = rest_of(sewn.garment)
+    length = np.linalg.norm(x[surface.edges[:, 1]] - x[surface.edges[:, 0]], axis=1)
+    assert np.percentile(length / rest - 1.0, 99) < 0.15
+    assert sewn.exact.depth(x).max() < 2e-3
+    with pytest.raises(ValueError, match="closing = 'glue'"):
+        sew(sewn.garment, sewn.maps, TOLERANCE, closing="glue")

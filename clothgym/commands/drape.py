@@ -143,7 +143,7 @@ def drape(
         _make_folders(pictures, *(path.parent for path in (out, body_out) if path is not None))
         result = _drape(given, wearer, how, choices, record)
         walked = None if animate is None else _walk(result, pose, walk_seconds)
-        name = result.garment.name
+        name = pattern if isinstance(given, str) else given.name
         images = _write_pictures(result, *_picture_place(name, wearer.name, out, pictures))
         if out is not None:
             write_atomically(out, encode_mesh(out, result.positions, result.faces, result.garment.rest_corners))

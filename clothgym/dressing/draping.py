@@ -56,8 +56,12 @@ _ROUGH: dict[str, Any] = {
 _LIGHTER = 0.25
 """Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
 it there."""
-_FACE_POINT = 0.012
-"""[m] points of faces that are tested against the body lie this far from each other."""
+_TANGLED = 40
+"""Hits after the fall from which on untangling takes longer than falling again with self-collision."""
+_FACE_POINT = 0.01
+"""[m] points of faces that are tested against the body lie this far from each other, but each side of a face"""
+_MOST_PARTS = 4
+"""has no more parts than these."""
 
 Progress = Callable[[str, float, float, str], None]
 
@@ -158,6 +162,9 @@ def drape(
         if wrong and not last:
             notes.append(f"{text}: not worn {when}, {wrong}")
             continue
+        if self_collision and intersections(x, garment.faces).hit_count > _TANGLED:
+            notes.append(f"{text}: cloth passed through itself as it fell; it falls again and feels itself all the way")
+            x = sewn
         scene = dataclasses.replace(_begun(scene, x), self_collision=self_collision)
         simulation, speeds = _simulate(scene, effort, seconds, _told(progress, "drape", text), on_step)
         _lap(clock, "drape", now)
@@ -260,7 +267,8 @@ def _settled(
     """Positions (V, 3) [m] where the garment hangs without self-collision: it falls into place at a rough effort and a
     share of its weight, then hangs with all of it, with the substeps that it will rest with."""
     alone = dataclasses.replace(scene, self_collision=False)
-    light = dataclasses.replace(alone, gravity=tuple(_LIGHTER * g for g in scene.gravity))
+    gx, gy, gz = scene.gravity
+    light = dataclasses.replace(alone, gravity=(_LIGHTER * gx, _LIGHTER * gy, _LIGHTER * gz))
     few = min(effort.body_faces, _ROUGH["body_faces"])
     rough, fine = dataclasses.replace(effort, **_ROUGH), dataclasses.replace(effort, body_faces=few)
     x = scene.start
@@ -289,7 +297,7 @@ def _effort(scene: Scene, fidelity: Fidelity) -> Fidelity:
     if fidelity.substeps > 0 or fidelity.integrator != "xpbd":
         return fidelity
     model = ClothModel(scene, fidelity)
-    parts = math.ceil(model.mean_edge / _FACE_POINT) if fidelity.body_faces else 0
+    parts = min(math.ceil(model.mean_edge / _FACE_POINT), _MOST_PARTS) if fidelity.body_faces else 0
     substeps = max(_ROUGH["substeps"], promise.substeps_at_rest(model, fidelity.stretch_error))
     return dataclasses.replace(fidelity, substeps=substeps, sweeps=1, body_faces=parts)
 

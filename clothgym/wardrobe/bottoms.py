@@ -95,7 +95,8 @@ def trousers(s: Sizes) -> Pattern:
 def shorts(s: Sizes) -> Pattern:
     """From the waist to above the knees."""
     hem = s.knee_height + 0.3 * (s.crotch_height - s.knee_height)
-    return _legs("shorts", s, hem, 0.56 * s.thigh_girth)
+    there = s.knee_girth + 0.3 * (s.thigh_girth - s.knee_girth)
+    return _legs("shorts", s, hem, 2.0 * quarter(there, 1.25))
 
 
 DRAFTS = {"skirt": skirt, "trousers": trousers, "shorts": shorts}

@@ -39,16 +39,23 @@ def cuff(s: Sizes) -> Pattern:
     arm = s.left_arm
     reach = float(np.linalg.norm(arm.wrist - arm.shoulder))
     middle = 0.5 * (arm.elbow_girth + arm.wrist_girth)
-    return _on_left_arm("cuff", s, reach - 0.065 * s.height, reach - 0.01, 0.55 * middle, 0.55 * arm.wrist_girth)
+    return _on_left_arm(
+        "cuff",
+        s,
+        reach - 0.065 * s.height,
+        reach - 0.01,
+        2.0 * quarter(middle, 1.05),
+        2.0 * quarter(arm.wrist_girth, 1.05),
+    )
 
 
 def sleeve(s: Sizes) -> Pattern:
     """From the left upper arm to the wrist, by itself."""
     arm = s.left_arm
     reach = float(np.linalg.norm(arm.wrist - arm.shoulder))
-    return _on_left_arm(
-        "sleeve", s, 0.3 * reach, reach + 0.01 * s.height, 0.52 * arm.upper_girth, 0.56 * arm.wrist_girth
-    )
+    # a straight taper must clear the elbow, which is wider than halfway between upper arm and wrist
+    top, bottom = 2.0 * quarter(arm.upper_girth, 1.15), 2.0 * quarter(arm.wrist_girth, 1.45)
+    return _on_left_arm("sleeve", s, 0.3 * reach, reach + 0.01 * s.height, top, bottom)
 
 
 def scarf(s: Sizes) -> Pattern:

@@ -146,13 +146,13 @@ def _with_sleeves(name: str, s: Sizes, cut: _Cut, share: float, cuff_ease: float
     """Sleeves down to a share of the arms' length."""
     draft = _sewn_body(s, cut)
     for side, arm in (("left", s.left_arm), ("right", s.right_arm)):
-        width = 1.3 * arm.upper_girth / 2
+        width = 2.0 * quarter(arm.upper_girth, 1.3)
         edge = draft.outlines["front"].labels.index(f"armhole_{side}")
         hole = draft.panels["front"].length(edge)
         start = math.sqrt(max(hole**2 / 1.07 - width**2, (0.3 * width) ** 2))
         at = max(share * arm.length, start + 0.04 * s.height)
         girths = np.interp(share, (0.0, 0.5, 1.0), (arm.upper_girth, arm.elbow_girth, arm.wrist_girth))
-        half = sleeve_halves(arm, start, width, cuff_ease * float(girths) / 2, at)
+        half = sleeve_halves(arm, start, width, 2.0 * quarter(float(girths), cuff_ease), at)
         place_sleeve(draft, side, arm, half, 0.5 * arm.upper_girth / math.pi + CLEARANCE)
         for panel in ("front", "back"):
             draft.sew(panel, f"armhole_{side}", f"{side}_sleeve_{panel}", "cap")
@@ -200,7 +200,7 @@ def t_shirt(s: Sizes) -> Pattern:
 def shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the wrists."""
     cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), 1.04, 0.01, 0.045 * s.height, 0.012 * s.height)
-    return _with_sleeves("shirt", s, cut, 0.97, 1.6)
+    return _with_sleeves("shirt", s, cut, 0.97, 1.7)
 
 
 DRAFTS = {"sleeveless_shirt": sleeveless_shirt, "vest": vest, "dress": dress, "t_shirt": t_shirt, "shirt": shirt}

@@ -294,7 +294,9 @@ def test_certified_paths_never_cross(seed, rounds):
     assert naive.collisions(x, p, model.faces, quads=both), "nothing would cross: the test shows nothing"
     _, watched = narrowed(x, p, quads, kinds, model.thickness.min())
     before = p.copy()
-    certificate.certify(x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), watched.separation, rounds)
+    certificate.certify(
+        x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), watched.separation, rounds
+    )
     assert naive.collisions(x, p, model.faces, quads=both) == []
     for time in np.linspace(0, 1, 21):
         assert cg.intersections(x + time * (p - x), model.surface).hit_count == 0
@@ -438,7 +440,7 @@ def test_redundant_pairs_press_once():
     """A vertex over a corner where six triangles meet, and its edges: one contact; over a triangle's inside: one too."""
     mesh = cg.grid(0.3, 0.3, 3, 3)
     corner = mesh.vertices[5]
-    for over, ends in ((corner, 2), (corner + [0.04, 0.0, 0.03], 4)):
+    for over, ends in ((corner, 2), (corner + np.array([0.04, 0.0, 0.03]), 4)):
         x = np.concatenate([mesh.vertices, over + np.array([[0, 0.008, 0], [0.02, 1.0, 0.2], [-0.02, 1.0, 0.2]])])
         faces = np.concatenate([mesh.faces, [[16, 17, 18]]])
         buffers, watched = narrowed(x, x, *every_quad(faces), 0.01)

@@ -11,6 +11,7 @@ from clothgym.kernels.near_pairs import KEEP, OPEN, PROOF, look, spread
 
 _ATTEMPTS = 4
 
+
 @inlined
 def _extremes(p, quads, n, kind, separation):
     """Gap along the pair's separating direction and the two vertices that bound it."""

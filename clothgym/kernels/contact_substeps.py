@@ -32,7 +32,9 @@ class Rules(NamedTuple):
 
     friction: float
     both: bool  # pairs are beside an intersection if both sides are
-    yield_force: float  # [N] such a contact gives way above it; 0 = there is none; negative = it keeps the distance it has
+    yield_force: (
+        float  # [N] such a contact gives way above it; 0 = there is none; negative = it keeps the distance it has
+    )
     rounds: int  # sweeps that push pairs apart before zones move as one
     thickness: NDArray  # (V,) [m]
     apart: NDArray  # (V,) bool: beside an intersection
@@ -53,8 +55,28 @@ def _give_back(v, kept):
 
 @kernel
 def xpbd_substeps_in_contact(
-    x, v, p, kept, cloth, radii, motion, ground, grips, multipliers, first, last, expected, watched, count, known, contacts,
-    rules, push, clamped, work, runs,
+    x,
+    v,
+    p,
+    kept,
+    cloth,
+    radii,
+    motion,
+    ground,
+    grips,
+    multipliers,
+    first,
+    last,
+    expected,
+    watched,
+    count,
+    known,
+    contacts,
+    rules,
+    push,
+    clamped,
+    work,
+    runs,
 ):
     """Substeps `first` to `last` with contact: predict, contacts, sweeps with contact last, proof, new velocities.
 
@@ -80,9 +102,7 @@ def xpbd_substeps_in_contact(
         if known > contacts.rest.shape[0]:
             _give_back(v, kept)
             return n, -1, tight
-        sweep_all(
-            x, p, cloth, contacts, live, rules.friction, radii, motion, ground, grips, multipliers, n, True, runs
-        )
+        sweep_all(x, p, cloth, contacts, live, rules.friction, radii, motion, ground, grips, multipliers, n, True, runs)
         found = settle(p, contacts, live, push, clamped)
         if _strays(p, expected, n + 1):
             _give_back(v, kept)

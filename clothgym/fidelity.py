@@ -20,7 +20,7 @@ DETECTIONS = ("hierarchy", "brute_force", "mezger")
 INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
 CONES = ("none", "mezger", "exact")
 BUILD_SPACES = ("pose", "pattern")
-BODY_VIEWS = ("z", "y", "x", "zy", "zx", "yx", "zyx")
+BODY_VIEWS = ("auto", "z", "y", "x", "zy", "zx", "yx", "zyx")
 BODY_RESPONSES = ("coulomb", "velocity")
 BODY_NORMALS = ("face", "interpolated", "bytes")
 CONTACTS_NEAR_HITS = ("keep", "off_any", "off_both", "yield", "limited")
@@ -166,7 +166,8 @@ class Fidelity:
             "interpolated" normals [Vassilev 2001, 5.2], which are smoother but jump by some 0.03 mm between texels, or these
             as "bytes" of a colour [Vassilev 2001, eq. 6 and 7], off by up to 0.4 of a degree.
         body_views: axes along which the body is looked at, from both sides each: "z" as the paper; "zx", "zyx" and so on see
-            more of what lies behind something else and cost a look each; a point is inside where all say so.
+            more of what lies behind something else and cost a look each; a point is inside where all say so. "auto": "z" for
+            bodies with limbs, which the front and the back show, else "zy", since cloth lies on their tops.
         body_response: "coulomb" friction, at which cloth comes to rest, or "velocity" [Vassilev 2001, eq. 12], which creeps.
     """
 
@@ -218,7 +219,7 @@ class Fidelity:
     body_tolerance: float = 3e-3
     body_faces: int = 3
     body_normals: str = "face"
-    body_views: str = "z"
+    body_views: str = "auto"
     body_response: str = "coulomb"
 
     def __post_init__(self) -> None:

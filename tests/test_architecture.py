@@ -199,13 +199,13 @@ def test_stage_lists():
 
 def test_stage_lists_with_a_body():
     sphere = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
-    near, label = cg.Body(sphere), "body 64 px along z, coulomb, 4 points a face"
+    near, label = cg.Body(sphere), "body 64 px along zy, coulomb, 4 points a face"
     coarse = {"map_size": 64, "body_faces": 2}
     assert stages(dataclasses.replace(SHEET, bodies=[near]), **coarse) == [f"integrate [xpbd 8x4, {label}]"]
     names = stages(dataclasses.replace(PILE, bodies=[near]), untangling="none", contacts_near_hits="keep", **coarse)
     assert names == ["face pairs", "primitive pairs", f"contact substeps [xpbd 8x4, {label}]"]
     paper = stages(dataclasses.replace(SHEET, bodies=[near]), map_size=64, body_faces=0, body_response="velocity")
-    assert paper == ["integrate [xpbd 8x4, body 64 px along z, velocity]"]
+    assert paper == ["integrate [xpbd 8x4, body 64 px along zy, velocity]"]
 
 
 def test_the_label_tells_the_sweeps_that_contact_makes():

@@ -458,9 +458,9 @@ def test_sides_are_told_by_where_points_are():
     assert side(0.5, 0.0, 0.0, m) == NOBODY
     assert side(0.0, 0.099, 0.5, m) == FRONT, "far in front of a steep place"
     assert side(0.0, 0.101, -0.5, m) == BACK, "beside it, in the margin"
-    texel, plane, distance = body_map.find_plane(0.0, 0.0, -0.05, FRONT, m, TOLERANCE, 0.0)
+    texel, plane, distance = body_map.find_plane(0.0, 0.0, -0.05, 0.0, 0.0, -0.05, FRONT, m, TOLERANCE, 0.0)
     assert (plane, texel >= 0) == (0, True), "came from the front: leads back there"
     assert distance == pytest.approx(-0.15, abs=1e-3)
-    texel, plane, distance = body_map.find_plane(0.098, 0.0, 0.0, FRONT, m, TOLERANCE, 0.0)
+    texel, plane, distance = body_map.find_plane(0.098, 0.0, 0.0, 0.098, 0.0, 0.0, FRONT, m, TOLERANCE, 0.0)
     assert plane == 2
     assert distance == pytest.approx(-0.002, abs=5e-4)

@@ -133,7 +133,7 @@ def test_within_a_step_planes_stand_where_they_were():
 def find(maps, point, age):
     from clothgym.kernels import body_map
 
-    return body_map.find_plane(*(float(c) for c in point), 0, maps.map, TOLERANCE, float(age))
+    return body_map.find_plane(*2 * tuple(float(c) for c in point), 0, maps.map, TOLERANCE, float(age))
 
 
 def test_a_bowl_is_open_for_views_from_above():

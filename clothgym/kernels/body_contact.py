@@ -95,7 +95,7 @@ def _find_near_faces(p, contact):
             x = points[n, 0] * p[a, 0] + points[n, 1] * p[b, 0] + points[n, 2] * p[c, 0]
             y = points[n, 0] * p[a, 1] + points[n, 1] * p[b, 1] + points[n, 2] * p[c, 1]
             z = points[n, 0] * p[a, 2] + points[n, 1] * p[b, 2] + points[n, 2] * p[c, 2]
-            texel, _, _ = find_plane(x, y, z, 0, contact.map, contact.face_tolerance + _LEEWAY, age)
+            texel, _, _ = find_plane(x, y, z, x, y, z, 0, contact.map, contact.face_tolerance + _LEEWAY, age)
             if texel >= 0:
                 count += 1
                 contact.near_faces[count] = f
@@ -149,7 +149,7 @@ def _hold_back(x, p, contact, i):
 
 
 @bare
-def _test_faces(p, inverse_masses, contact, dt):
+def _test_faces(starts, p, inverse_masses, contact, dt):
     """Points of each face inside the body push its corners by their weights; several answers at a vertex are averaged."""
     pushes = contact.pushes
     pushes[:] = 0.0
@@ -172,7 +172,10 @@ def _test_faces(p, inverse_masses, contact, dt):
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            texel, side, distance = find_plane(x, y, z, from_side, contact.map, contact.face_tolerance, age)
+            sx = wa * starts[a, 0] + wb * starts[b, 0] + wc * starts[c, 0]
+            sy = wa * starts[a, 1] + wb * starts[b, 1] + wc * starts[c, 1]
+            sz = wa * starts[a, 2] + wb * starts[b, 2] + wc * starts[c, 2]
+            texel, side, distance = find_plane(x, y, z, sx, sy, sz, from_side, contact.map, contact.face_tolerance, age)
             if texel < 0:
                 continue
             found = True
@@ -206,7 +209,7 @@ def _test_faces(p, inverse_masses, contact, dt):
 def keep_off_body(x, p, inverse_masses, contact, dt):
     """One sweep: points of faces, then vertices (which have the last word), then friction."""
     if contact.face_points.shape[0] > 0:
-        _test_faces(p, inverse_masses, contact, dt)
+        _test_faces(x, p, inverse_masses, contact, dt)
     age = contact.clock[0]
     planes = contact.map.planes
     flow = contact.map.flow
@@ -214,7 +217,7 @@ def keep_off_body(x, p, inverse_masses, contact, dt):
         if inverse_masses[i] == 0.0:
             continue
         texel, side, distance = find_plane(
-            p[i, 0], p[i, 1], p[i, 2], contact.side[i], contact.map, contact.tolerance, age
+            p[i, 0], p[i, 1], p[i, 2], x[i, 0], x[i, 1], x[i, 2], contact.side[i], contact.map, contact.tolerance, age
         )
         if texel >= 0:
             at = 4 * side

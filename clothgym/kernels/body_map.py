@@ -248,28 +248,37 @@ def _plane_in(x, y, z, came_from, view, body, tolerance, age):
 
 
 @bare
-def find_plane(x, y, z, came_from, body, tolerance, age):
+def find_plane(x, y, z, start_x, start_y, start_z, came_from, body, tolerance, age):
     """Whether a point lies within the tolerance of the body or inside it: texel and side of the plane to respond along,
     and the signed distance to it; texel -1 = outside.
 
     The plane is that of the side that the point came from (`sides_of` before it moved), so that no point is pushed
     through a limb to its far side; the nearer one where that is unknown. The outline's, if that is nearer than both.
-    Of several views, the one that has the point least deep.
+    Of several views, one whose plane the point was outside of where it started, and of these the one that has it least deep.
     """
-    return _least_deep(x, y, z, came_from, body, body.two, body.three, tolerance, age)
+    return _in_views(x, y, z, start_x, start_y, start_z, came_from, body, body.two, body.three, tolerance, age)
 
 
 @bare
-def _least_deep(x, y, z, came_from, body, two, three, tolerance, age):
+def _in_views(x, y, z, start_x, start_y, start_z, came_from, body, two, three, tolerance, age):
     texel, side, distance = _plane_in(x, y, z, came_from & 3, body.one, body, tolerance, age)
-    if two is not None and texel >= 0:
+    if two is not None and texel >= 0:  # None is left out when this is compiled
+        passed = plane_distance(start_x, start_y, start_z, texel, side, body, age) >= 0.0
         other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 2) & 3, two, body, tolerance, age)
-        if other < 0 or other_distance > distance:
-            texel, side, distance = other, other_side, other_distance
-    if three is not None and texel >= 0:
-        other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 4) & 3, three, body, tolerance, age)
-        if other < 0 or other_distance > distance:
-            texel, side, distance = other, other_side, other_distance
+        if other < 0:
+            texel = -1
+        else:
+            also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
+            if (also and not passed) or (also == passed and other_distance > distance):
+                texel, side, distance, passed = other, other_side, other_distance, also
+        if three is not None and texel >= 0:
+            other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 4) & 3, three, body, tolerance, age)
+            if other < 0:
+                texel = -1
+            else:
+                also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
+                if (also and not passed) or (also == passed and other_distance > distance):
+                    texel, side, distance = other, other_side, other_distance
     return texel, side, distance
 
 
@@ -281,7 +290,8 @@ def query(points, body, tolerance, distances, normals):
     """
     found = 0
     for i in range(points.shape[0]):
-        texel, side, distance = find_plane(points[i, 0], points[i, 1], points[i, 2], 0, body, tolerance, 0.0)
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        texel, side, distance = find_plane(x, y, z, x, y, z, 0, body, tolerance, 0.0)
         distances[i] = np.inf
         for c in range(3):
             normals[i, c] = 0.0

@@ -99,8 +99,8 @@ def _edges_apart(x, a0, a1, b0, b1, reach):
 
 
 @inlined
-def _skew_distance(x, a0, a1, b0, b1):
-    """`primitives.edge_edge_distance` to the last bit and without branches; -1 if edges are nearly parallel or points."""
+def _edge_edge_distance(x, a0, a1, b0, b1):
+    """`primitives.edge_edge_distance` to the last bit, without branches but for edges that are nearly parallel or points."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -116,6 +116,8 @@ def _skew_distance(x, a0, a1, b0, b1):
     c = ux * rx + uy * ry + uz * rz
     b = ux * vx + uy * vy + uz * vz
     denominator = a * e - b * b
+    if not denominator > 1e-6 * a * e:
+        return edge_edge_distance(x, a0, a1, b0, b1)
     s = (b * f - c * e) / denominator
     s = s if s > 0.0 else 0.0
     s = s if s < 1.0 else 1.0
@@ -129,13 +131,7 @@ def _skew_distance(x, a0, a1, b0, b1):
     dx = x[a0, 0] + s * ux - x[b0, 0] - t * vx
     dy = x[a0, 1] + s * uy - x[b0, 1] - t * vy
     dz = x[a0, 2] + s * uz - x[b0, 2] - t * vz
-    return math.sqrt(dx * dx + dy * dy + dz * dz) if denominator > 1e-6 * a * e else -1.0
-
-
-@inlined
-def _edge_edge_distance(x, a0, a1, b0, b1):
-    d = _skew_distance(x, a0, a1, b0, b1)
-    return d if d >= 0.0 else edge_edge_distance(x, a0, a1, b0, b1)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @kernel

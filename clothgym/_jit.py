@@ -102,7 +102,7 @@ def device(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A device function whose code is copied into its callers before they are compiled: for innermost loops.
+    """The same for what is called in the innermost loops: put into its callers before they are compiled.
 
     A call counts references to every array that it hands over, or that is in a tuple that it hands over: some 5 ns each.
     """

@@ -129,6 +129,26 @@ def test_a_decided_step_searches_nothing():
     )
 
 
+def test_a_decision_lasts_for_several_steps_and_ends_with_a_jump(monkeypatch):
+    """Steps look whether it still holds, at whatever positions they begin with; the first after a jump must not trust it."""
+    sim = cg.Simulation(sheet(), XPBD)
+    other = cg.Simulation(sheet(), dataclasses.replace(XPBD, flat_check=False))
+    sheets = sim.pipeline.stages[0].candidates.sheets
+    decisions, decide = [], sheets.decide
+    monkeypatch.setattr(sheets, "decide", lambda *args: decisions.append(sim.step_count) or decide(*args))
+    for run in (sim, other):
+        run.step(12)
+    assert sim.metrics()["work"]["decided_flat"] == 12 and 0 < len(decisions) <= 4
+    assert sim.state_hash() == other.state_hash()
+    flat = sim.positions.copy()
+    folded = np.where(flat[:, 2:] > flat[:, 2].mean(), 2 * flat.mean(axis=0) - flat + [0, 0.03, 0], flat)
+    for run in (sim, other):
+        run.set_positions(folded)
+        run.step()
+    assert sim.metrics()["work"]["decided_flat"] == 12 and decisions[-1] == 12
+    assert sim.state_hash() == other.state_hash()
+
+
 def test_no_decision_survives():
     """After reset, restore, a copy and a jump of the positions, everything is decided anew."""
     sim = cg.Simulation(RUNS["long steps"][0](), XPBD)

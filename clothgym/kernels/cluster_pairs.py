@@ -39,9 +39,7 @@ class Scratch(NamedTuple):
     stack: NDArray[np.int64]  # (S, 2) nodes on the way down: level and block; arity times levels is enough
     leaves: NDArray[np.uint64]  # (L,) leaves beside one
     masks: NDArray[np.uint64]  # (L, 2, 3, 3) for each leaf beside one, and both ways: blocks by three kinds of marks
-    notes: NDArray[
-        np.uint32
-    ]  # (3, 3, N) of three rounds: block and lane of a primitive, another block, mask of its lanes
+    notes: NDArray[np.uint32]  # (3, 3, N) of three rounds: a primitive (block and lane), another block, mask of lanes
 
 
 def scratch(leaves: int, levels: int, arity: int) -> Scratch:

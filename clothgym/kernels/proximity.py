@@ -105,9 +105,9 @@ def _edges_apart(x, a0, a1, b0, b1, reach):
 
 
 @inlined
-def _skew_lines(x, a0, a1, b0, b1):
-    """`primitives.closest_on_edges` and their distance to the last bit and without branches; -1 as distance if edges are nearly
-    parallel or points."""
+def _closest_on_edges(x, a0, a1, b0, b1):
+    """`primitives.closest_on_edges` and their distance to the last bit, without branches but for edges that are nearly parallel
+    or points."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -123,6 +123,9 @@ def _skew_lines(x, a0, a1, b0, b1):
     c = ux * rx + uy * ry + uz * rz
     b = ux * vx + uy * vy + uz * vz
     denominator = a * e - b * b
+    if not denominator > 1e-6 * a * e:
+        s, t = closest_on_edges(x, a0, a1, b0, b1)
+        return s, t, edge_edge_distance(x, a0, a1, b0, b1)
     s = (b * f - c * e) / denominator
     s = s if s > 0.0 else 0.0
     s = s if s < 1.0 else 1.0
@@ -136,23 +139,13 @@ def _skew_lines(x, a0, a1, b0, b1):
     dx = x[a0, 0] + s * ux - x[b0, 0] - t * vx
     dy = x[a0, 1] + s * uy - x[b0, 1] - t * vy
     dz = x[a0, 2] + s * uz - x[b0, 2] - t * vz
-    return s, t, math.sqrt(dx * dx + dy * dy + dz * dz) if denominator > 1e-6 * a * e else -1.0
+    return s, t, math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@inlined
-def _closest_on_edges(x, a0, a1, b0, b1):
-    """Places along two edges, and their distance [m]."""
-    s, t, d = _skew_lines(x, a0, a1, b0, b1)
-    if d < 0.0:
-        s, t = closest_on_edges(x, a0, a1, b0, b1)
-        d = edge_edge_distance(x, a0, a1, b0, b1)
-    return s, t, d
-
-
-@inlined
+@device
 def _edge_edge_distance(x, a0, a1, b0, b1):
-    d = _skew_lines(x, a0, a1, b0, b1)[2]
-    return d if d >= 0.0 else edge_edge_distance(x, a0, a1, b0, b1)
+    """Distance [m] of two edges."""
+    return _closest_on_edges(x, a0, a1, b0, b1)[2]
 
 
 @kernel

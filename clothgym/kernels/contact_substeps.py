@@ -53,8 +53,28 @@ def _give_back(v, kept):
 
 @kernel
 def xpbd_substeps_in_contact(
-    x, v, p, kept, cloth, radii, motion, ground, grips, multipliers, first, last, expected, watched, count, known, contacts,
-    rules, push, clamped, work, runs,
+    x,
+    v,
+    p,
+    kept,
+    cloth,
+    radii,
+    motion,
+    ground,
+    grips,
+    multipliers,
+    first,
+    last,
+    expected,
+    watched,
+    count,
+    known,
+    contacts,
+    rules,
+    push,
+    clamped,
+    work,
+    runs,
 ):
     """Substeps `first` to `last` with contact: predict, contacts, sweeps with contact last, proof, new velocities.
 
@@ -80,9 +100,7 @@ def xpbd_substeps_in_contact(
         if known > contacts.rest.shape[0]:
             _give_back(v, kept)
             return n, -1, tight
-        sweep_all(
-            x, p, cloth, contacts, live, rules.friction, radii, motion, ground, grips, multipliers, n, True, runs
-        )
+        sweep_all(x, p, cloth, contacts, live, rules.friction, radii, motion, ground, grips, multipliers, n, True, runs)
         found = settle(p, contacts, live, push, clamped)
         if _strays(p, expected, n + 1):
             _give_back(v, kept)

@@ -334,9 +334,7 @@ def xpbd_substeps(
             for c in range(3):
                 kept[i, c] = v[i, c]
         accelerate(x, v, p, cloth, motion)
-        sweep_all(
-            x, p, cloth, NO_CONTACTS, 0, 0.0, radii, motion, ground, grips, multipliers, n, True, runs
-        )
+        sweep_all(x, p, cloth, NO_CONTACTS, 0, 0.0, radii, motion, ground, grips, multipliers, n, True, runs)
         if not _stays(p, (n + 1 - base) / horizon, sheets, tube):
             for i in range(x.shape[0]):
                 for c in range(3):

@@ -49,7 +49,9 @@ class Watched(NamedTuple):
     ways: NDArray  # (K,) near: how far they have moved against each other since [m]
     holds: NDArray  # (K,) far: way of all vertices [m] up to which it is; near: -inf; left alone: inf
     states: NDArray  # (K,) uint8
-    weights: NDArray  # (K, 4) near, and all where pairs were found: signed barycentric weights of the closest points, sum 0
+    weights: (
+        NDArray  # (K, 4) near, and all where pairs were found: signed barycentric weights of the closest points, sum 0
+    )
     separation: NDArray  # (K, 4) near: direction from the second side to the first, distance; -1 = nothing is certified
     seen: NDArray  # (V, 3) where all vertices were at the last look [m]
     links: NDArray  # (K,) int64 scratch: the next near pair of the same vertex with a triangle, -1 = none

@@ -92,11 +92,12 @@ class Fidelity:
             bending rigidity; "quadratic" in the positions, cheaper, for cloth that is flat at rest; or "none".
         substeps: parts of a step; 0 = as many as the safe time step of an explicit integrator, or the promise of XPBD,
             asks for; implicit integrators: 2.
-        sweeps: Gauss-Seidel sweeps over springs and contacts a substep; with contact and substeps = 0 the least number of
-            them, without contact chosen with the substeps.
+        sweeps: Gauss-Seidel sweeps over springs and contacts a substep. With substeps = 0 XPBD takes substeps of one sweep,
+            with contact between cloths as many as hold stretch as well as contact_substeps of so many sweeps; with bodies
+            it is the least number of sweeps.
         stretch_error: the promise of XPBD, where substeps = 0: no spring between neighbours gets longer than in the
             converged solution of the same material by more than this share of its length (see `promise`).
-        contact_substeps: of XPBD in scenes with contact, where substeps = 0; the promise then chooses the sweeps.
+        contact_substeps: the least of XPBD in scenes with contact, where substeps = 0; see sweeps.
         precision: "float64", or "float32" for XPBD of springs on grids without contact: a tenth faster with thousands of
             vertices, slower with hundreds; stretch and mean heights are the same, single vertices of a fine sheet part by
             millimetres in a second, as after any rounding. Between steps positions and velocities stay float64.

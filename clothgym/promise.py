@@ -39,7 +39,7 @@ SPANNED = 3.0
 LEAST = 2.2
 """Substeps in 1/60 s, over the root of the stretch, below which heights of a falling sheet are off by centimetres."""
 OVERHEAD = 10
-"""Sweeps that closest points, the certificate and the rest of a substep with bodies, or with continuous tests, are taken to cost."""
+"""Sweeps that closest points, the certificate and the rest of a substep with bodies are taken to cost."""
 _GAIN = 0.9
 _MORE_SUBSTEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 _LEVEL = 0.02
@@ -49,9 +49,9 @@ _LEVEL = 0.02
 def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
     """Substeps of a step and sweeps of a substep: those of the fidelity, or as many as its promise takes.
 
-    Substeps of one sweep are the cheapest, with contact between cloths too, and no fewer than hold stretch as well as what the
-    fidelity asks for at least. A substep with bodies, or with continuous tests, costs as much as some sweeps before the first
-    one: there the cheapest of several numbers of substeps, from those of the fidelity on, with the sweeps that it takes.
+    Substeps of one sweep are the cheapest, with contact between cloths too, and no fewer than hold stretch as well as what
+    the fidelity asks for at least. A substep with bodies costs as much as some sweeps before the first one: there the
+    cheapest of several numbers of substeps, from those of the fidelity on, with the sweeps that it takes.
 
     Raises:
         ValueError: more of them than a fidelity may ask for; a step would take minutes.
@@ -61,15 +61,13 @@ def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
     scene, stretch = model.scene, fidelity.stretch_error
     if not (scene.self_collision or scene.bodies):
         return _bounded(substeps_for(model, stretch), MOST_SUBSTEPS, "substeps", stretch), 1
-    if scene.bodies:
-        single = scene.step / _longest(model, stretch, MOTION_IN_CONTACT)
-    else:
+    if not scene.bodies:
         least = fidelity.contact_substeps * fidelity.sweeps ** (0.5 * _GAIN)
         single = max(substeps_for(model, stretch), impact_substeps(model, stretch), least)
-        if not fidelity.continuous:
-            return _bounded(math.ceil(single), MOST_SUBSTEPS, "substeps", stretch), 1
+        return _bounded(math.ceil(single), MOST_SUBSTEPS, "substeps", stretch), 1
+    longest = _longest(model, stretch, MOTION_IN_CONTACT)
     choices = [math.ceil(share * fidelity.contact_substeps) for share in _MORE_SUBSTEPS]
-    efforts = [(n, max(fidelity.sweeps, _sweeps(single / n))) for n in choices]
+    efforts = [(n, max(fidelity.sweeps, _sweeps(scene.step / (n * longest)))) for n in choices]
     substeps, sweeps = min(efforts, key=lambda effort: effort[0] * (OVERHEAD + effort[1]))
     return substeps, _bounded(sweeps, MOST_SWEEPS, "sweeps", stretch)
 
@@ -97,8 +95,8 @@ def substeps_for(model: ClothModel, stretch: float) -> int:
 def impact_substeps(model: ClothModel, stretch: float) -> float:
     """Substeps of one sweep in a step, for an excess stretch when cloth that nothing holds falls to the ground.
 
-    Measured for sheets of 8 to 32 cells that fall on a corner (`clothgym bench crumple`); excess falls with the number of substeps
-    to the power of 1.2 to 1.6.
+    Measured for sheets of 8 to 32 cells that fall on a corner (`clothgym bench crumple`); excess falls with the number of
+    substeps to the power of 1.2 to 1.6.
     """
     scene, components = model.scene, model.surface.components
     if scene.ground is None:

@@ -437,18 +437,22 @@ def test_pairs_that_are_not_near_stay_apart(seed):
 
 
 def test_redundant_pairs_press_once():
-    """A vertex over a corner where six triangles meet, and its edges: one contact; over a triangle's inside: one too."""
+    """A vertex over another where six triangles meet: one contact from either side; over a triangle's inside: one."""
     mesh = cg.grid(0.3, 0.3, 3, 3)
     corner = mesh.vertices[5]
-    for over, ends in ((corner, 2), (corner + np.array([0.04, 0.0, 0.03]), 4)):
+    for over, ends in ((corner, 2), (corner + np.array([0.066, 0.0, 0.033]), 4)):
         x = np.concatenate([mesh.vertices, over + np.array([[0, 0.008, 0], [0.02, 1.0, 0.2], [-0.02, 1.0, 0.2]])])
         faces = np.concatenate([mesh.faces, [[16, 17, 18]]])
         buffers, watched = narrowed(x, x, *every_quad(faces), 0.01)
         assert (watched.states == near_pairs.NEAR).sum() >= 1 + 5 * (ends == 2)
-        assert buffers.active == 1
-        row = buffers.arrays.live[0]
-        assert buffers.arrays.ends[row] == ends
-        assert buffers.arrays.normals[row] == pytest.approx([0, 1, 0], abs=1e-9)
+        rows = buffers.arrays.live[: buffers.active]
+        # edges that lean over an edge below cross it, and press besides
+        pressing = rows[(buffers.arrays.rest[rows] == 0.01)]
+        assert len(pressing) == 1 + (ends == 2) and len(rows) <= 3
+        assert (buffers.arrays.ends[pressing] == ends).all()
+        assert np.abs(buffers.arrays.normals[pressing]) == pytest.approx(
+            np.tile([0, 1, 0], (len(pressing), 1)), abs=1e-9
+        )
 
 
 @pytest.mark.parametrize("near_hits", ["off_any", "keep"])

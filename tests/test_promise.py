@@ -146,21 +146,44 @@ def test_substeps_without_contact():
     assert "for stretch within 0.5 %" in stage(hanging(8), "accurate")
 
 
-def test_sweeps_with_contact():
+def test_contact_between_cloths_takes_substeps_of_one_sweep():
+    for preset in ("balanced", "accurate"):
+        alone, touching = (cg.Simulation(hanging(24, self_collision=c), preset).pipeline for c in (False, True))
+        assert touching.substeps == alone.substeps, "a sheet that can touch itself hangs as heavily as one that cannot"
+        assert f"[xpbd {alone.substeps}x1 for" in touching.describe()
     touching = hanging(24, self_collision=True)
-    fidelity = cg.Fidelity(untangling="none", contacts_near_hits="keep")
-    for changes, least in (({}, 9), ({"stretch_error": 1.0}, 8)):
-        sim = cg.Simulation(touching, dataclasses.replace(fidelity, **changes))
-        assert sim.pipeline.substeps == 8
-        sweeps = sim.pipeline.stages[-1].step.sweeps
-        assert sweeps >= least and (sweeps == 8) == (least == 8)
-        assert f"[xpbd 8x{sweeps} for" in sim.pipeline.describe()
-    assert stage(touching, dataclasses.replace(fidelity, substeps=4, sweeps=2)).endswith("[xpbd 4x2]")
+    easy = cg.Simulation(touching, cg.Fidelity(stretch_error=1.0)).pipeline.substeps
+    assert easy == 21, "8 substeps of 8 sweeps hold stretch as well as 21 of one"
+    kept = cg.Fidelity(untangling="none", contacts_near_hits="keep", substeps=4, sweeps=2)
+    assert stage(touching, kept).endswith("[xpbd 4x2]")
 
 
-@pytest.mark.parametrize(("preset", "effort"), [("draft", "4x4"), ("balanced", "8x8")])
+def test_sweeps_with_bodies():
+    scene = cg.scenes.make("tape")
+    for preset in ("draft", "balanced"):
+        fidelity = cg.Fidelity.preset(preset)
+        sim = cg.Simulation(scene, fidelity)
+        assert sim.pipeline.substeps >= fidelity.contact_substeps
+        assert sim.pipeline.stages[-1].step.sweeps >= fidelity.sweeps
+
+
+@pytest.mark.parametrize(("preset", "effort"), [("draft", "8x1"), ("balanced", "21x1")])
 def test_layers_near_the_ground_need_no_more_than_contact_does(preset, effort):
     assert f"[xpbd {effort} for" in stage(cg.scenes.make("layers"), preset)
+
+
+def test_a_fall_to_the_ground_takes_substeps():
+    """As many as the speed on the ground asks for, over the length of an edge; none for cloth that hangs, or without ground."""
+
+    def needed(stretch=0.1, cells=8, **settings):
+        free = dataclasses.replace(hanging(cells).cloths[0], pins=settings.pop("pins", ()))
+        return promise.impact_substeps(ClothModel(cg.Scene([free], **settings)), stretch)
+
+    once = needed(ground=-1.0)
+    assert needed(ground=-4.0) == pytest.approx(2.0 * once, rel=2e-3)
+    assert needed(ground=-1.0, cells=16) == pytest.approx(2.0 * once, rel=2e-3)
+    assert needed(ground=-1.0, stretch=0.01) == pytest.approx(10**0.65 * once)
+    assert needed() == needed(ground=-1.0, pins=(0,)) == needed(ground=0.5) == 0.0
 
 
 def test_symplectic_euler_goes_by_its_stability_alone():
@@ -243,3 +266,12 @@ def test_a_promise_is_kept(scene, presets):
     spared = cg.Simulation(scene, presets[0])
     less, _ = peak(cg.Simulation(scene, cg.Fidelity(substeps=max(1, spared.pipeline.substeps // 4), sweeps=1)), frames)
     assert less - converged > cg.Fidelity.preset(presets[0]).stretch_error
+
+
+@pytest.mark.parametrize("preset", ["draft", "balanced"])
+def test_a_sheet_that_crumples_keeps_the_promise(preset):
+    scene = cg.scenes.make("drop", resolution=8)
+    most, _ = peak(cg.Simulation(scene, preset), 70)
+    converged, _ = peak(cg.Simulation(scene, cg.Fidelity(substeps=100, sweeps=1)), 70)
+    assert converged < 0.02
+    assert most - converged < cg.Fidelity.preset(preset).stretch_error

@@ -175,7 +175,8 @@ def _contact() -> None:
     draft = cg.Fidelity.preset("draft")
     mezger = {"detection": "mezger", "lazy": 1e-4, "rebuild_growth": 1e-3}
     for settings in (
-        {}, {"rebuild_growth": 1e-3}, {"detection": "brute_force"}, mezger, {**mezger, "coherence": 1e-3},
+        {}, {"rebuild_growth": 1e-3}, {"detection": "brute_force"}, {"continuous": True}, mezger,
+        {**mezger, "coherence": 1e-3},
     ):  # fmt: skip
         _steps(scene, dataclasses.replace(draft, **settings))
     vertices, faces = _crossing_sheets()

@@ -141,9 +141,9 @@ def certify(x, p, inverse_masses, thickness, quads, kinds, count, separation, ro
 def prove_all(x, p, inverse_masses, thickness, watched, count, apart, both, leave, rounds):
     """Makes sure that no watched pair crosses on the straight way from x to p; changes p where needed.
 
-    Near pairs are proved by what has moved since they were measured, or by `keep_apart`; far ones by what has moved, and those for
-    which that does not suffice become near. Returns (pairs measured, pairs repaired, vertices moved in zones, 1 where pushing
-    apart what came near brought others near too often, else 0).
+    Near pairs are proved by what has moved since they were measured, or by `keep_apart`; far ones by what has moved, and
+    those for which that does not suffice become near. Returns (pairs measured, pairs repaired, vertices moved in zones, 1
+    where pushing apart what came near brought others near too often, else 0).
     """
     measured = 0
     repaired = 0

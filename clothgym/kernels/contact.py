@@ -14,7 +14,7 @@ from clothgym.kernels.integrate import add_grip_forces, hold_grips, keep_above_g
 from clothgym.kernels.near_pairs import LOOK, NEAR, look, spread
 from clothgym.kernels.spring_runs import project_in_runs
 
-_LEEWAY = 0.05
+_LEEWAY = 0.02
 """Thicknesses that sweeps are taken to move a vertex: contacts that are open by more than that and the expected motion rest."""
 _NO_WEIGHT = 1e-12
 """Less is what rounding leaves of a vertex that takes no part."""
@@ -295,11 +295,11 @@ def project_cloth(p, cloth, dt, multipliers, runs, once):
 
 
 @device
-def forget_multipliers(multipliers, runs):
-    """Those of a new substep are zero."""
+def forget_multipliers(multipliers, runs, once):
+    """Those of a new substep are zero; a single sweep over runs has none."""
     if runs is None:
         multipliers[:] = 0.0
-    else:
+    elif not once:
         runs[1].multipliers[:] = 0.0
 
 
@@ -308,7 +308,7 @@ def sweep_all(
     x, p, cloth, contacts, count, friction, radii, motion, ground, grips, multipliers, substep, with_springs, runs
 ):
     """See `solve`."""
-    forget_multipliers(multipliers, runs)
+    forget_multipliers(multipliers, runs, motion.sweeps == 1)
     grips.multipliers[:] = 0.0
     for _ in range(motion.sweeps):
         if with_springs:

@@ -45,7 +45,8 @@ class ContactSubsteps:
         self.rounds = fidelity.repair_rounds
         in_sweeps = step.integrator.in_sweeps
         self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
-        self.together = contact_substeps if self.in_one_kernel and in_sweeps and not fidelity.continuous else None
+        able = self.in_one_kernel and in_sweeps and not fidelity.continuous
+        self.together: Any = contact_substeps if able else None
         candidates.ahead = candidates.most_ahead = _AHEAD if self.flat_substeps else 1
         self.kept = np.zeros((model.vertex_count if in_sweeps else 0, 3))
         self.work = np.zeros(len(_WORK), np.int64)

@@ -184,9 +184,8 @@ def memory(scene: cg.Scene, fidelity: cg.Fidelity) -> float:
     tracemalloc.start()
     try:
         sim = cg.Simulation(scene, fidelity)
-        sim.step(2)
-        return tracemalloc.get_traced_memory()[1] / 1e6
-    except cg.SimulationError:
+        with contextlib.suppress(cg.SimulationError):
+            sim.step(2)
         return tracemalloc.get_traced_memory()[1] / 1e6
     finally:
         tracemalloc.stop()

@@ -63,7 +63,7 @@ def _on_ball(friction: float | None = None) -> Callable[[Scene], Scene]:
     def placed(scene: Scene) -> Scene:
         start = scene.start
         ball = trimesh.creation.icosphere(subdivisions=4, radius=0.25)
-        ball.apply_translation((*start[:, 0].mean(keepdims=True), start[:, 1].min() - 0.27, start[:, 2].mean()))
+        ball.apply_translation((start[:, 0].mean(), start[:, 1].min() - 0.27, start[:, 2].mean()))
         body = cg.Body(ball) if friction is None else cg.Body(ball, friction=friction)
         return dataclasses.replace(scene, bodies=[body])
 

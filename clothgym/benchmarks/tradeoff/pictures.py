@@ -71,7 +71,8 @@ def _plot_front(rows: Sequence[Row], name: str, path: Path) -> Path:
         axes.set_ylabel(f"{error.text} [{error.unit}]")
     _tell_missing(panels[1], of_kind(rows, "run", name), by_label)
     figure.suptitle(
-        f"{name}: {SUBJECTS[name].text}\nlower left is better; the black line joins what nothing else beats; zero is drawn at the bottom",
+        f"{name}: {SUBJECTS[name].text}\nlower left is better; the black line joins what nothing else beats; "
+        "zero is drawn at the bottom",
         fontsize=11,
     )
     handles, labels = _legend(panels)

@@ -11,7 +11,16 @@ from clothgym.benchmarks.tradeoff import strain
 from clothgym.benchmarks.tradeoff.front import Point, beaten_by, clamped, front
 from clothgym.benchmarks.tradeoff.subjects import SUBJECTS, Error
 
-_WORK = ("box_tests", "face_pairs", "contacts", "rebuilds", "iterations", "unconverged", "untangling_passes")
+_WORK = (
+    "box_tests",
+    "primitive_pairs",
+    "contacts",
+    "hits",
+    "zoned",
+    "solver_steps",
+    "linear_iterations",
+    "unconverged",
+)
 """Counters of a frame that are shown; the rows have all."""
 
 

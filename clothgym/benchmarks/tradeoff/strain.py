@@ -30,7 +30,7 @@ PLACES = {"corners": (0, CELLS), "side": tuple(range(CELLS + 1))}
 """Held vertices: two corners, where stretch is local, or a whole side, where all of the cloth above the middle has it."""
 SECONDS = 5.0
 _FRAME = 1.0 / 60.0
-_BISECTIONS = 6
+_BISECTIONS, _SUBSTEPS = 6, 4
 
 ARMS: dict[str, dict[str, Any]] = {
     "soft springs": {},
@@ -131,9 +131,8 @@ def largest_step(subject: cg.Scene, chosen: cg.Fidelity, predicted: float, fine:
     low, high = 0.25 * predicted, 4.0 * predicted
     for _ in range(_BISECTIONS):
         middle = (low * high) ** 0.5
-        substeps = 4
-        timed = dataclasses.replace(subject, step=substeps * middle)
-        found = hang(timed, chosen, substeps, 2.0)
+        timed = dataclasses.replace(subject, step=_SUBSTEPS * middle)
+        found = hang(timed, chosen, _SUBSTEPS, 2.0)
         holds = found["peak"] is not None and found["peak"] <= 0.1 + 1.5 * fine["peak"]
         low, high = (middle, high) if holds else (low, middle)
     return low

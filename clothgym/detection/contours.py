@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels import regions as kernels
 from clothgym.kernels import sides
 from clothgym.mesh import vertex_areas
@@ -211,19 +211,14 @@ class Enclosed:
         members = order[bounds[c] : bounds[c + 1]]
         if side != 0.0:
             members = members[hits.hit_side[members] == side]
+        start, around = surface.faces_around
+        across = [v for other in self.of_contour[c] if self.side[other] != side for v in self.vertices(other).tolist()]
+        chosen = np.unique(np.concatenate([hits.hit_face[members], *(around[start[v] : start[v + 1]] for v in across)]))
         inside = np.zeros(surface.vertex_count, np.bool_)
-        for other in self.of_contour[c]:
-            if self.side[other] != side:
-                inside[self.vertices(other)] = True
-        chosen: BoolArray = np.array(inside[surface.faces].any(axis=1))
-        chosen[hits.hit_face[members]] = True
-        inside[:] = False
         inside[self.vertices(region)] = True
-        if side == 0.0:
-            chosen &= ~inside[surface.faces].any(axis=1)
-        else:
-            chosen &= ~inside[surface.faces].all(axis=1)
-        return np.flatnonzero(chosen).astype(np.int32)
+        own = inside[surface.faces[chosen]]
+        faces: IntArray = chosen[~(own.any(axis=1) if side == 0.0 else own.all(axis=1))]
+        return faces
 
     def nearest(self, region: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
         """Where a region's vertices would go back through.

@@ -190,6 +190,14 @@ def test_small_contours_on_large_meshes_are_cheap():
     assert found[0][1] == 1
 
 
+def test_faces_around_every_vertex():
+    surface = cg.Surface(meshes.seam_of_three(3, 0)[1], 60)
+    start, ids = surface.faces_around
+    for v in range(60):
+        expected = [f for f, corners in enumerate(surface.faces.tolist()) if v in corners]
+        assert ids[start[v] : start[v + 1]].tolist() == expected
+
+
 def test_a_part_of_more_than_half_is_doubtful():
     vertices, faces = meshes.strip_through_plane(0.3, 0.0)
     (contour,) = cg.intersections(vertices, faces).contours

@@ -95,6 +95,31 @@ def test_a_fixed_vertex_is_one_of_infinite_mass(strategy, name):
     assert heavy == pytest.approx(moved, abs=1e-9)
 
 
+@pytest.mark.parametrize("name", ["crossing", "dent", "crumple", "seam"])
+@pytest.mark.parametrize("strategy", NAMES)
+def test_momentum_is_kept_where_hits_are_missing(strategy, name):
+    """Half of the hits ignored, as [Volino 2006, 3.1.2]: contours fall to pieces, and every piece keeps its momentum."""
+    mesh = mesh_of(name)
+    rng = np.random.default_rng(6)
+    w = rng.uniform(0.2, 5.0, len(mesh[0]))
+    whole = context_of(mesh, inverse_masses=w, strategy=strategy)
+    hits = whole.intersections.keeping(rng.uniform(size=whole.intersections.hit_count) < 0.5)
+    assert 3 < hits.hit_count < whole.intersections.hit_count
+    context = dataclasses.replace(whole, intersections=hits)
+    moved = propose(strategy, context)
+    size = max((np.abs(moved) / w[:, None]).sum(), 1e-3)
+    assert np.abs((1.0 / w) @ moved).max() <= 1e-13 * size
+    turned = (np.cross(hits.vertices, moved) / w[:, None]).sum(axis=0)
+    assert np.abs(turned).max() <= 1e-12 * size * np.abs(hits.vertices).max()
+
+
+@pytest.mark.parametrize("name", [*meshes.DEGENERATE, *meshes.SPECIAL])
+def test_corrections_are_finite_on_any_input(name):
+    mesh = meshes.EVERY[name]()
+    for strategy in NAMES:
+        assert np.isfinite(propose(strategy, context_of(mesh, strategy=strategy))).all(), strategy
+
+
 @pytest.mark.parametrize("strategy", NAMES)
 def test_no_contour_moves_a_vertex_further_than_h0(strategy):
     for name in ("crossing", "dent", "ribbon", "fold"):

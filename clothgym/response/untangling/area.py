@@ -51,14 +51,16 @@ def area_gradients(found: Enclosed) -> tuple[FloatArray, BoolArray]:
         (C, 3) [m] loss of area per displacement, and which contours cut off anything (C,).
     """
     hits = found.hits
+    has = marked(hits.contour_count, found.contour)
+    segments = np.flatnonzero(has[hits.contour])
     # the first hit of a segment pierces face A with an edge of face B
-    h = hits.first_hit
+    h = hits.first_hit[segments]
     a = hits.hit_face[h]
-    b = hits.pair_faces.sum(axis=1) - a
+    b = hits.pair_faces[segments].sum(axis=1) - a
     normals = _normals(hits, a), _normals(hits, b)
     across = np.cross(*normals)
-    weight = hits.segment_lengths / np.maximum(np.sqrt(np.einsum("ij,ij->i", across, across)), _FLATTEST)
-    contour = hits.contour
+    weight = hits.segment_lengths[segments] / np.maximum(np.sqrt(np.einsum("ij,ij->i", across, across)), _FLATTEST)
+    contour = hits.contour[segments]
     side = hits.hit_side[h]
     slopes = np.zeros((hits.contour_count, 3))
     for face, other, own in ((b, normals[0], side), (a, normals[1], -side)):
@@ -66,7 +68,7 @@ def area_gradients(found: Enclosed) -> tuple[FloatArray, BoolArray]:
         pull = (weight * own * np.sign(way))[:, None] * other
         for axis in range(3):
             slopes[:, axis] += np.bincount(contour, pull[:, axis], minlength=hits.contour_count)
-    return slopes, marked(hits.contour_count, found.contour)
+    return slopes, has
 
 
 def _outward(found: Enclosed, faces: NDArray[Any], contour: NDArray[np.int64], side: NDArray[Any]) -> FloatArray:

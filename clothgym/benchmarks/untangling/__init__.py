@@ -35,7 +35,7 @@ _OTHERS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("waist", {}),
     ("crumple", {}),
 )
-BEST = "hybrid"
+BEST = "flatten"
 """The strategy whose table of many instances is asked for."""
 _SHARES, _SIZES = (0.0, 0.25, 0.5, 0.75, 1.0), (0.1, 0.25, 0.5, 1.0, 2.0)
 _DEPTHS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)

@@ -527,6 +527,15 @@ def on_ball():
     return cg.Scene([cg.Cloth(mesh)], bodies=[cg.Body(ball, slide=0.5)], step=0.01, self_collision=False)
 
 
+def through_ball() -> cg.Scene:
+    """A sheet with its middle inside a ball."""
+    return dataclasses.replace(
+        on_ball(),
+        cloths=[cg.Cloth(cg.grid(0.6, 0.6, 6, 6).transformed(translation=(0.02, 0.1505, 0.01)))],
+        self_collision=True,
+    )
+
+
 def bent() -> cg.Scene:
     """A strip that lies bent: where it is and its pattern differ."""
     flat = cg.grid(0.6, 0.2, 12, 4)
@@ -582,7 +591,11 @@ KNOBS = {
     "untangling_passes": (tangle, GLOBAL, 3, 0, "state"),
     "h0": (tangle, GLOBAL, 0.3, 0, "state"),
     "g0": (tangle, GLOBAL, 5.0, 0, "state"),
+    "displacement_share": (tangle, GLOBAL, 0.5, 0, "state"),
     "velocity_share": (tangle, GLOBAL, 0.5, 0, "state"),
+    "acceleration_share": (tangle, GLOBAL, 0.5, 0, "state"),
+    "penalty_stiffness": (tangle, GLOBAL, 10.0, 0, "state"),
+    "untangle_bodies": (through_ball, GLOBAL, True, 0, "state"),
     "speed_limit": (tangle, GLOBAL, 0.1, 0, "state"),
     "contacts_near_hits": (tangle, GLOBAL, "keep", 0, "state"),
     "rings": (tangle, GLOBAL, 0, 0, "state"),
@@ -612,8 +625,8 @@ def test_no_dead_knobs(field):
 
 
 def test_every_way_with_contacts_near_hits_is_its_own():
-    ways = ("off_any", "off_both", "yield", "keep")
-    assert len({outcome(tangle, dataclasses.replace(GLOBAL, contacts_near_hits=way))[1] for way in ways}) == 4
+    ways = ("off_any", "off_both", "yield", "limited", "keep")
+    assert len({outcome(tangle, dataclasses.replace(GLOBAL, contacts_near_hits=way))[1] for way in ways}) == 5
 
 
 def test_brute_force_and_hierarchy_give_the_same_physics():

@@ -104,8 +104,10 @@ def grouped(group: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], ND
 class Enclosed:
     """Regions that the contours of an intersection cut off, found by flood fill [Baraff 2003].
 
-    Each side of a contour is flooded for itself; where a contour ends at loop vertices, both sides meet there and cut off a
-    region together. Contours whose sides cannot be told apart cut off nothing.
+    Each side of a contour is flooded for itself. Where a contour ends at loop vertices, both sides meet there and cut off a
+    region together; if it has one such end and one at a border, a corner is folded through, and what is missing between the
+    contour and the border of the other surface is the shortest way there. Contours whose sides cannot be told apart cut off
+    nothing.
 
     Args:
         hits: intersections.
@@ -114,7 +116,7 @@ class Enclosed:
     Attributes:
         inside_end: (H,) which end of a hit's edge lies in the region, 0 or 1; -1 = none.
         region: (H,) that region, -1 = none.
-        contour, side, area, share: (R,) as in `Region`.
+        contour, side, area, share: (R,) as in `Region`; start: (R + 1,) where the vertices of each begin and end in `inside`.
     """
 
     def __init__(self, hits: Intersections, areas: FloatArray) -> None:
@@ -122,16 +124,20 @@ class Enclosed:
         count = hits.hit_count
         order, bounds = hits.by_contour
         loops = np.flatnonzero(hits.loop_vertex >= 0)
+        border = hits.surface.edge_face_count[hits.hit_edge] == 1
+        borders = np.bincount(hits.hit_contour[border], minlength=hits.contour_count)
         at, wall_bounds = grouped(hits.contour[loops], hits.contour_count)
         cuts = kernels.Cuts(
             order,
             bounds,
             hits.hit_edge,
+            hits.hit_face,
             hits.hit_side,
             np.diff(wall_bounds) == 0,
             ~hits.contour_consistent,
             wall_bounds,
             hits.loop_vertex[loops][at],
+            (np.diff(wall_bounds) == 1) & (borders == 1),
         )
         surface = hits.surface
         component = surface.components
@@ -139,6 +145,9 @@ class Enclosed:
         graph = kernels.Graph(
             *surface.neighbourhood,
             surface.edges,
+            surface.face_edges,
+            surface.edge_face_start,
+            surface.edge_face_ids,
             weights,
             component,
             np.bincount(component, weights, minlength=1),
@@ -161,18 +170,18 @@ class Enclosed:
         self.inside_end, self.region = found.inside_end, found.region
         self.contour, self.side = found.contour[:regions], found.side[:regions]
         self.area, self.share = found.area[:regions], found.share[:regions]
-        self._start, self._members = found.start, members[:used]
+        self.start, self._members = found.start[: regions + 1], members[:used]
 
     def __len__(self) -> int:
         return len(self.contour)
 
     def vertices(self, region: int) -> IntArray:
         """Ids of a region's vertices."""
-        return self._members[self._start[region] : self._start[region + 1]]
+        return self._members[self.start[region] : self.start[region + 1]]
 
     @property
     def inside(self) -> IntArray:
-        """Vertices of all regions; those in several stand there as often."""
+        """Vertices of all regions, one after the other; those in several stand there as often."""
         return self._members
 
     @cached_property

@@ -49,7 +49,7 @@ class ContourTracker:
             if numbers[new] < 0 and old not in taken:
                 numbers[new] = self._numbers[old]
                 taken.add(old)
-        for new in np.flatnonzero(numbers < 0):
+        for new in np.flatnonzero(numbers < 0).tolist():
             numbers[new] = self._next
             self._born[self._next] = self._looks
             self._next += 1

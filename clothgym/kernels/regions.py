@@ -17,11 +17,13 @@ class Cuts(NamedTuple):
     order: NDArray  # (H,) hits, contour by contour
     bounds: NDArray  # (C + 1,) of each contour in `order`
     edge: NDArray  # (H,) edge of each hit
+    face: NDArray  # (H,) face of each hit
     side: NDArray  # (H,) +1 or -1
     divided: NDArray  # (C,) bool: both sides are flooded for themselves; else all cuts of a contour work together
     skipped: NDArray  # (C,) bool: no flood
     wall_start: NDArray  # (C + 1,)
     walls: NDArray  # loop vertices of each contour, through which no flood passes
+    extended: NDArray  # (C,) bool: where a border edge pierces a face, the cut goes on from there to the nearest border
 
 
 class Graph(NamedTuple):
@@ -31,6 +33,9 @@ class Graph(NamedTuple):
     neighbours: NDArray
     neighbour_edges: NDArray
     edges: NDArray  # (E, 2)
+    face_edges: NDArray  # (F, 3)
+    edge_face_start: NDArray  # (E + 1,)
+    edge_face_ids: NDArray
     areas: NDArray  # (V,) [m^2]
     component: NDArray  # (V,)
     component_areas: NDArray  # [m^2]
@@ -58,6 +63,46 @@ def _root(parent, r):
     return r
 
 
+@device
+def _reach_border(face, graph, cut, stamp, seen, way, came, extra):
+    """Edges between a face and the nearest border, the border's own included, that the contour does not cut; 0 if there are
+    none. Scratch over faces: seen, holding the stamps of earlier searches, way and came; returns how many edges."""
+    head = 0
+    tail = 1
+    way[0] = face
+    seen[face] = stamp
+    came[face] = -1
+    while head < tail:
+        f = way[head]
+        head += 1
+        for k in range(3):
+            e = graph.face_edges[f, k]
+            if cut[e]:
+                continue
+            if graph.edge_face_start[e + 1] - graph.edge_face_start[e] == 1:
+                count = 0
+                while True:
+                    extra[count] = e
+                    count += 1
+                    e = came[f]
+                    if e < 0:
+                        return count
+                    # back to the face that this one was reached from: the one of the edge that was seen first
+                    for n in range(graph.edge_face_start[e], graph.edge_face_start[e + 1]):
+                        other = graph.edge_face_ids[n]
+                        if other != f and seen[other] == stamp and came[other] != e:
+                            f = other
+                            break
+            for n in range(graph.edge_face_start[e], graph.edge_face_start[e + 1]):
+                other = graph.edge_face_ids[n]
+                if seen[other] != stamp:
+                    seen[other] = stamp
+                    came[other] = e
+                    way[tail] = other
+                    tail += 1
+    return 0
+
+
 @kernel
 def flood(cuts, graph, found, members):
     """Regions that contours cut off: vertices that cannot be reached without crossing the contour an odd number of times.
@@ -75,7 +120,13 @@ def flood(cuts, graph, found, members):
     growing = np.empty(2 * hits, np.int64)
     area = np.empty(2 * hits, np.float64)
     number = np.empty(2 * hits, np.int64)
+    root_of = np.empty(2 * hits, np.int64)
     sizes = np.empty(2 * hits, np.int64)
+    faces = graph.face_edges.shape[0]
+    seen = np.full(faces, -1, np.int32)
+    way = np.empty(faces, np.int32)
+    came = np.empty(faces, np.int32)
+    extra = np.empty(faces + 1, np.int32)
     regions = 0
     used = 0
     for h in range(hits):
@@ -92,6 +143,13 @@ def flood(cuts, graph, found, members):
                 h = cuts.order[n]
                 if side == 0.0 or cuts.side[h] == side:
                     cut[cuts.edge[h]] = not cut[cuts.edge[h]]
+            extended = 0
+            for n in range(cuts.bounds[c], cuts.bounds[c + 1] if cuts.extended[c] else cuts.bounds[c]):
+                e = cuts.edge[cuts.order[n]]
+                if graph.edge_face_start[e + 1] - graph.edge_face_start[e] == 1:
+                    extended = _reach_border(cuts.face[cuts.order[n]], graph, cut, c, seen, way, came, extra)
+            for n in range(extended):
+                cut[extra[n]] = True
             seeds = 0
             tail = 0
             for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
@@ -108,6 +166,7 @@ def flood(cuts, graph, found, members):
                         queue[tail] = v
                         tail += 1
                         seeds += 1
+            before = regions
             head = 0
             alive = seeds
             whole = False
@@ -169,6 +228,7 @@ def flood(cuts, graph, found, members):
                     inside = first if area[first] < area[second] else second
                     if number[inside] < 0:
                         number[inside] = regions
+                        root_of[regions] = inside
                         found.contour[regions] = c
                         found.side[regions] = side
                         found.area[regions] = area[inside]
@@ -182,12 +242,12 @@ def flood(cuts, graph, found, members):
                 root = _root(parent, label[queue[n]])
                 if number[root] >= 0:
                     sizes[root] += 1
-            for r in range(seeds):
-                if parent[r] == r and number[r] >= 0:
-                    found.start[number[r]] = used
-                    used += sizes[r]
-                    found.start[number[r] + 1] = used
-                    sizes[r] = found.start[number[r]]
+            for region in range(before, regions):
+                r = root_of[region]
+                found.start[region] = used
+                used += sizes[r]
+                found.start[region + 1] = used
+                sizes[r] = found.start[region]
             for n in range(tail):
                 root = _root(parent, label[queue[n]])
                 if number[root] >= 0:
@@ -198,6 +258,8 @@ def flood(cuts, graph, found, members):
                 label[queue[n]] = -1
             for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
                 cut[cuts.edge[cuts.order[n]]] = False
+            for n in range(extended):
+                cut[extra[n]] = False
         for w in range(cuts.wall_start[c], cuts.wall_start[c + 1]):
             label[cuts.walls[w]] = -1
     return regions, used

@@ -77,12 +77,12 @@ def global_targets(totals, contour, sign, h0, g0, targets):
 
 @kernel
 def distribute(
-    faces, edges, inverse_masses, hit_edge, hit_face, parameters, weights, targets, order, contour, cap, total
+    faces, edges, inverse_masses, hit_edge, hit_face, parameters, weights, targets, order, contour, caps, total
 ):
     """Moves edges and faces so that each hit gets its relative displacement; linear and angular momentum are kept.
 
     dx_i = q_i c_i H / sum_j c_j^2 q_j with c = (1 - t, t, -w). The sum over a contour's hits is scaled as a whole so that
-    no vertex moves further than `cap` [m]. `order` (H,) lists the hits by contour; adds to total (V, 3) [m].
+    no vertex moves further than its cap (C,) [m]. `order` (H,) lists the hits by contour; adds to total (V, 3) [m].
     """
     scratch = np.zeros(total.shape, np.float64)
     touched = np.empty(5 * hit_edge.shape[0], np.int64)
@@ -120,6 +120,7 @@ def distribute(
             i = touched[n]
             largest = max(largest, scratch[i, 0] ** 2 + scratch[i, 1] ** 2 + scratch[i, 2] ** 2)
         largest = math.sqrt(largest)
+        cap = caps[contour[order[start]]]
         scale = cap / largest if largest > cap else 1.0
         for n in range(used):
             i = touched[n]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothgym.response.untangling.base import Context, Corrections, contour_gradients, displacements, together
+from clothgym.response.untangling.base import Context, Corrections, displacements, global_targets
 
 _LONG = 8.0
 """A contour of this many h0 takes full strides."""
@@ -19,4 +19,5 @@ class Annealed:
     def propose(self, context: Context) -> Corrections:
         hits = context.intersections
         strides = context.h0 * np.clip(hits.contour_lengths / (_LONG * context.h0), _LEAST, 1.0)
-        return Corrections(displacements(context, together(context, contour_gradients(context), strides)))
+        targets = global_targets(context) * (strides / context.h0)[hits.hit_contour, None]
+        return Corrections(displacements(context, targets, strides))

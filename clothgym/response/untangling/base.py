@@ -42,11 +42,11 @@ class Corrections:
     apart: BoolArray | None = None
 
 
-def displacements(context: Context, targets: FloatArray) -> FloatArray:
+def displacements(context: Context, targets: FloatArray, strides: FloatArray | None = None) -> FloatArray:
     """Vertex displacements (V, 3) that give each hit its relative displacement (H, 3) of edge against face.
 
-    The sum over the hits of a contour is scaled as a whole so that no vertex moves further than h0; linear and angular
-    momentum of free vertices are kept.
+    The sum over the hits of a contour is scaled as a whole so that no vertex moves further than h0, or than the contour's
+    own stride (C,) [m]; linear and angular momentum of free vertices are kept.
     """
     hits = context.intersections
     s = hits.surface.arrays
@@ -62,7 +62,7 @@ def displacements(context: Context, targets: FloatArray) -> FloatArray:
         targets,
         hits.by_contour[0],
         hits.hit_contour,
-        context.h0,
+        np.full(hits.contour_count, context.h0) if strides is None else strides,
         total,
     )
     return total
@@ -76,17 +76,14 @@ def contour_gradients(context: Context) -> FloatArray:
     return totals
 
 
-def together(context: Context, totals: FloatArray, h0: FloatArray | None = None) -> FloatArray:
+def together(context: Context, totals: FloatArray) -> FloatArray:
     """(H, 3) relative displacement of each hit along a direction of its whole contour, totals (C, 3), by eq. 5.
 
-    A contour whose sides cannot be told apart has no common direction and is left to the local scheme. h0 (C,) [m] replaces
-    that of the context, no contour's beyond it.
+    A contour whose sides cannot be told apart has no common direction and is left to the local scheme.
     """
     hits = context.intersections
     targets = np.empty((hits.hit_count, 3))
     kernels.global_targets(totals, hits.hit_contour, hits.hit_side, context.h0, context.g0, targets)
-    if h0 is not None:
-        targets *= (h0 / context.h0)[hits.hit_contour, None]
     broken = ~hits.contour_consistent[hits.hit_contour]
     if broken.any():
         targets[broken] = local_targets(context)[broken]

@@ -9,20 +9,43 @@ from __future__ import annotations
 
 import numpy as np
 
+from clothgym.arrays import FloatArray
+from clothgym.detection.contours import Enclosed
 from clothgym.kernels import untangling as kernels
-from clothgym.response.untangling.base import Context, Corrections, displacements
+from clothgym.response.untangling.base import Context, Corrections, displacements, enclosed, marked
 from clothgym.response.untangling.hybrid import hybrid_targets
+
+_ENOUGH = 1.2
+"""Of the way out that a contour at a fold is pushed."""
 
 _SHARE = 0.5
 """Of the way from a vertex to the mean of its neighbours that it is moved; all of it overshoots where neighbours move too."""
 
 
 class Flatten:
-    """Loop vertices and their neighbours move towards the mean of their own neighbours, which move against them."""
+    """Loop vertices and their neighbours move towards the mean of their own neighbours, which move against them; contours that
+    end there push no further than their regions reach, because beside a fold everything is near the wrong side."""
 
     def propose(self, context: Context) -> Corrections:
-        targets, inside = hybrid_targets(context)
-        return Corrections(displacements(context, targets) + flattening(context), inside)
+        found = enclosed(context)
+        targets = hybrid_targets(context, found)
+        strides = reach(context, found)
+        targets *= (strides / context.h0)[context.intersections.hit_contour, None]
+        moved = displacements(context, targets, strides) + flattening(context)
+        return Corrections(moved, marked(len(moved), found.inside))
+
+
+def reach(context: Context, found: Enclosed) -> FloatArray:
+    """(C,) [m] stride of each contour: h0, or, of those that end at loop vertices, a little more than the farthest inside end
+    of their edges has to go."""
+    hits = context.intersections
+    edges, x = hits.surface.edges[hits.hit_edge], hits.vertices
+    inner = np.where(found.inside_end == 0, edges[:, 0], edges[:, 1])
+    way = np.abs(np.einsum("ij,ij->i", x[inner] - hits.points, hits.frames[:, 3:6])) * (found.inside_end >= 0)
+    farthest = np.zeros(hits.contour_count)
+    np.maximum.at(farthest, hits.hit_contour, way)
+    loops = marked(hits.contour_count, hits.contour[hits.loop_vertex >= 0]) & (farthest > 0.0)
+    return np.where(loops, np.minimum(_ENOUGH * farthest, context.h0), context.h0)
 
 
 def flattening(context: Context) -> np.ndarray:

@@ -5,7 +5,8 @@ The paper's own suggestion (3.2: "identify intersection regions whenever possibl
 
 from __future__ import annotations
 
-from clothgym.arrays import BoolArray, FloatArray
+from clothgym.arrays import FloatArray
+from clothgym.detection.contours import Enclosed
 from clothgym.response.untangling.base import (
     Context,
     Corrections,
@@ -21,15 +22,15 @@ class Hybrid:
     """Where the two ends of a cut edge lie in different regions, the end in the smaller one is inside and goes back."""
 
     def propose(self, context: Context) -> Corrections:
-        targets, inside = hybrid_targets(context)
-        return Corrections(displacements(context, targets), inside)
+        found = enclosed(context)
+        moved = displacements(context, hybrid_targets(context, found))
+        return Corrections(moved, marked(len(moved), found.inside))
 
 
-def hybrid_targets(context: Context) -> tuple[FloatArray, BoolArray]:
-    """Relative displacement of each hit (H, 3), and the vertices of all regions (V,)."""
+def hybrid_targets(context: Context, found: Enclosed) -> FloatArray:
+    """(H, 3) relative displacement of each hit."""
     hits = context.intersections
     targets = global_targets(context)
-    found = enclosed(context)
     separated = found.inside_end >= 0
     directions = found.outward()
     mean = mean_direction(context, directions, separated)
@@ -38,4 +39,4 @@ def hybrid_targets(context: Context) -> tuple[FloatArray, BoolArray]:
     directions[beside] = hits.hit_side[beside, None] * mean[hits.hit_contour[beside]]
     pushed = separated | beside
     targets[pushed] = context.h0 * directions[pushed]
-    return targets, marked(len(hits.vertices), found.inside)
+    return targets

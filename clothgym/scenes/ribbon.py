@@ -26,8 +26,8 @@ _INNER = 0.05
 
 def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.3, seed: int = 0) -> Scene:
     """A ribbon, 5 cm wide, rolled up loosely on its edge, falls by its width into a dish that rotates and, from half a second
-    on, tilts slowly by up to 40 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices are
-    all pinned and move. Steps of 1/200 s."""
+    on, tilts slowly by up to 40 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices
+    are all pinned and move. Steps of 1/200 s."""
     rng = np.random.default_rng(seed)
     along, outer = _spiral(length)
     flat = grid(length, WIDTH, len(along) - 1, round(WIDTH / EDGE))

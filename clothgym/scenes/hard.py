@@ -57,7 +57,8 @@ def draw_waist(resolution: int = 16, seed: int = 0) -> Tangle:
     rng = np.random.default_rng([seed, 12])
     edge = SIDE / resolution
     around, rows = 2 * (resolution // 2), resolution
-    height = np.linspace(-0.5 * SIDE, 0.5 * SIDE, rows + 1)
+    # the waist is not in the middle: the shorter part is the one that went through
+    height = np.linspace(-0.4 * SIDE, 0.6 * SIDE, rows + 1)
     radius = 0.16 * SIDE * (1.0 + 2.0 * (height / (0.5 * SIDE)) ** 2)
     turn = 2.0 * math.pi * (np.arange(around) + 0.5 * (np.arange(rows + 1) % 2)[:, None]) / around
     tube = np.stack(
@@ -68,7 +69,7 @@ def draw_waist(resolution: int = 16, seed: int = 0) -> Tangle:
     sheet = grid(1.6 * SIDE, 1.6 * SIDE, round(1.6 * resolution), round(1.6 * resolution))
     level = sheet.vertices + np.array([0.13, 0.0, 0.17]) * edge
     place = 0.02 * edge * rng.uniform(-1.0, 1.0, tube.shape)
-    start, free = tube + place, tube + place + np.array([0.0, 0.5 * SIDE + 0.6 * edge, 0.0])
+    start, free = tube + place, tube + place + np.array([0.0, 0.4 * SIDE + 0.6 * edge, 0.0])
     mesh = Mesh(tube, faces)
     cloths = [_cloth(level, sheet, edge, "sheet"), _cloth(start, mesh, edge, "tube")]
     ids = np.arange(len(level), len(level) + len(tube))
@@ -77,7 +78,7 @@ def draw_waist(resolution: int = 16, seed: int = 0) -> Tangle:
 
 def waist(resolution: int = 16, seed: int = 0) -> Scene:
     """A tube with a narrow waist, right through a sheet at the waist, where the contour is shortest: shortening it keeps the
-    tube there."""
+    tube there. Its shorter end is the one that went through."""
     return draw_waist(resolution, seed).scene
 
 

@@ -18,14 +18,16 @@ _GAP = 0.01
 """Between neighbouring turns of the roll [m]."""
 _FALL = 0.05
 """From the lower border of the ribbon to the dish [m]."""
+_LEVEL = 0.5
+"""How long the dish stays level [s]."""
 _INNER = 0.05
 """Radius of the innermost turn [m]."""
 
 
-def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.15, seed: int = 0) -> Scene:
-    """A ribbon, 5 cm wide, rolled up loosely on its edge, falls by its width into a dish that rotates and, from a second on,
-    tilts slowly by up to 40 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices are
-    all pinned and move. Steps of 1/200 s."""
+def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.3, seed: int = 0) -> Scene:
+    """A ribbon, 5 cm wide, rolled up loosely on its edge, falls by its width into a dish that rotates and, from half a second
+    on, tilts slowly by up to 28 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices
+    are all pinned and move. Steps of 1/200 s."""
     rng = np.random.default_rng(seed)
     along, outer = _spiral(length)
     flat = grid(length, WIDTH, len(along) - 1, round(WIDTH / EDGE))
@@ -50,11 +52,11 @@ def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.15, seed: i
     motion = Turns(
         (
             Turn((0.0, 1.0, 0.0), spin, centre),
-            Turn((0.0, 0.0, 1.0), slow, centre, begin=1.0, end=min(1.0 + math.radians(40.0) / slow, 1e6)),
+            Turn((0.0, 0.0, 1.0), slow, centre, begin=_LEVEL, end=min(_LEVEL + math.radians(28.0) / slow, 1e6)),
         )
     )
     dish = Cloth(bowl, material, range(len(bowl.vertices)), None, "dish", motion=motion)
-    return Scene((strip, dish), ground=-2.0 * outer, step=0.005, duration=5.0, name="ribbon")
+    return Scene((strip, dish), ground=-2.0 * outer, step=0.005, duration=4.0, name="ribbon")
 
 
 def _spiral(length: float) -> tuple[FloatArray, float]:
@@ -88,7 +90,7 @@ PARAMETERS = {
     "ribbon": {
         "length": ("m", 0.5, 1000.0, "of the ribbon"),
         "spin": ("rad/s", -20.0, 20.0, "rotation of the dish"),
-        "tilt": ("rad/s", 0.0, 5.0, "tilting of the dish, from 1 s on"),
+        "tilt": ("rad/s", 0.0, 5.0, "tilting of the dish, from 0.5 s on"),
         "seed": ("", 0, 2**31 - 1, "seed of the unevenness"),
     }
 }

@@ -51,20 +51,15 @@ def prepare() -> None:
 
 def _rows_of(rows: list[Row], name: str) -> list[Row]:
     """Rows of a part as it would have written them itself."""
-    own = [row for row in rows if row["parameters"]["paper"] == name]
-    marks = (f"papers/{scale}/{name}/" for scale in ("quick", "full"))
-    starts = tuple(marks)
     return [
-        row | {"parameters": row["parameters"]["case"], "key": _cut(row["key"], starts, f"{name}/{row['scale']}/")}
-        for row in own
+        row
+        | {
+            "parameters": row["parameters"]["case"],
+            "key": f"{name}/{row['scale']}/" + row["key"].split(f"/{name}/", 1)[1],
+        }
+        for row in rows
+        if row["parameters"]["paper"] == name
     ]
-
-
-def _cut(key: str, starts: tuple[str, ...], instead: str) -> str:
-    for start in starts:
-        if key.startswith(start):
-            return instead + key[len(start) :]
-    return key
 
 
 def tables(rows: list[Row]) -> list[Table]:

@@ -51,7 +51,7 @@ def cases(quick: bool) -> list[Case]:
             listed.append(Case(f"Fig. 6/{strategy}/seed{seed}", fall | {"steps": 40 if quick else 60, "control": 0}))
         faults = {"part": "faults", "settings": {}, "strategy": strategy, "fields": {}, "seed": 0}
         listed.append(Case(f"Fig. 7/{strategy}", faults | {"steps": 60 if quick else 120}))
-    length, steps = (6.0, 150) if quick else (120.0, 400)
+    length, steps = (6.0, 100) if quick else (120.0, 600)
     dish = {"part": "dish", "settings": {"length": length}, "strategy": "local", "fields": {}, "seed": 0}
     listed.append(Case("Fig. 8/local", dish | {"steps": steps}))
     return listed

@@ -185,9 +185,9 @@ def _dish_pictures() -> Image:
     rim = simulation.positions[simulation.cloth_ranges[1][1]]
     camera = Camera.framing(np.concatenate([rim, rim + np.array([0.0, 0.1, 0.0])]), direction=(0.5, 0.7, 1.0))
     images, labels = [], []
-    for step in range(1, 91):
+    for step in range(1, 181):
         simulation.step()
-        if step % 30 == 0:
+        if step % 60 == 0:
             images.append(draw(simulation, camera, 360, 320, antialias=2))
             labels.append(f"{simulation.time:.2f} s: {simulation.last_intersections.hit_count} hits")
     return tile(images, labels, columns=3)

@@ -21,6 +21,7 @@ from clothgym.benchmarks.untangling.measure import (
     quantile,
     untangling_share,
 )
+from clothgym.response.untangling import names
 
 MARKS = (5, 10, 15, 30)
 """Steps at which the contour length is compared with that of the start; the last one is the bound of "clean in time"."""
@@ -288,7 +289,5 @@ def _plot(curves: dict[str, np.ndarray], label: str, scale: tuple[float, str], p
 def strategy_colours(strategies: list[str]) -> dict[str, Any]:
     """A colour for each strategy, the same in every plot for those that the package has."""
     palette = pyplot().get_cmap("tab10").colors
-    from clothgym.response.untangling import names
-
     ordered = dict.fromkeys([name for name in names() if name != "none"] + [s for s in strategies if s != "none"])
     return {"none": "0.45"} | {name: palette[n % 10] for n, name in enumerate(ordered)}

@@ -34,6 +34,10 @@ def body_drawable(body: Any) -> Drawable:
     return _bodies_drawn[body]
 
 
+def _moved_drawable(body: Any, time: float) -> Drawable:
+    return Drawable(body.motion.at(time), body.mesh.faces, colour=BODY_COLOUR)
+
+
 def cloth_drawable(vertices: Any, faces: Any, colour: Colour) -> Drawable:
     """A cloth's surface (V, 3) [m], (F, 3), with a darker back side."""
     return Drawable(vertices, faces, colour=colour, back_colour=tuple(BACK_TONE * c for c in colour))
@@ -48,7 +52,9 @@ def drawables(simulation: Any) -> list[Drawable]:
         cloth_drawable(x[vertices], faces[triangles] - vertices.start, colours[number])
         for number, (_, vertices, triangles) in enumerate(ranges)
     ]
-    shapes += [body_drawable(body) for body in simulation.scene.bodies]
+    for body in simulation.scene.bodies:
+        moved = body.motion is not None
+        shapes.append(_moved_drawable(body, simulation.time) if moved else body_drawable(body))
     for centre in simulation.grip_positions:
         shapes.append(Drawable(0.012 * _OCTAHEDRON + centre, _OCTAHEDRON_FACES, colour=GRIP_COLOUR, smooth=False))
     return shapes

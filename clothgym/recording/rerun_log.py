@@ -163,8 +163,8 @@ class RerunLog:
     def open_simulation(self, simulation: Any) -> None:
         """`open` with what a Simulation holds: its cloths, bodies and ground.
 
-        The scene's bodies stand still; a simulation that has `body_meshes` (name, vertices, faces) tells at each step
-        where they are.
+        The scene's bodies stand still or have a motion; a simulation that has `body_meshes` (name, vertices, faces) tells at
+        each step where they are.
         """
         positions = np.asarray(simulation.positions)
         faces = np.asarray(simulation.faces)
@@ -174,8 +174,7 @@ class RerunLog:
         ]
         scene = getattr(simulation, "scene", None)
         ground = getattr(scene, "ground", None)
-        moving: list[tuple[str, ArrayLike, ArrayLike]] = list(getattr(simulation, "body_meshes", ()))
-        still = [] if hasattr(simulation, "body_meshes") else _still_bodies(scene)
+        moving, still = _bodies_now(simulation)
         everything = np.concatenate([positions, *(np.asarray(v) for _, v, _ in (*moving, *still))])
         low, high = everything.min(axis=0), everything.max(axis=0)
         low[1] = low[1] if ground is None else min(low[1], ground)
@@ -282,7 +281,7 @@ class RerunLog:
             hits=None if hits is None else hits.points,
             scalars=scalars,
             points=points,
-            bodies={name: vertices for name, vertices, _ in getattr(simulation, "body_meshes", ())},
+            bodies={name: vertices for name, vertices, _ in _bodies_now(simulation)[0]},
             outcome=outcome,
         )
 
@@ -374,16 +373,27 @@ def _described_body(
     return str(name), points, as_faces(faces, len(points), f"faces of body '{name}'")
 
 
-def _still_bodies(scene: Any) -> list[tuple[str, ArrayLike, ArrayLike]]:
-    """(name, vertices, faces) of a scene's bodies; those that share a name are numbered."""
-    found: list[tuple[str, ArrayLike, ArrayLike]] = []
-    for body in getattr(scene, "bodies", ()):
+_Bodies = list[tuple[str, ArrayLike, ArrayLike]]
+
+
+def _bodies_now(simulation: Any) -> tuple[_Bodies, _Bodies]:
+    """(name, vertices, faces) of the bodies that move, where they are now, and of those that stand still; those of a scene
+    that share a name are numbered."""
+    if hasattr(simulation, "body_meshes"):
+        return list(simulation.body_meshes), []
+    moving: _Bodies = []
+    still: _Bodies = []
+    for body in getattr(getattr(simulation, "scene", None), "bodies", ()):
         name, count = str(body.name), 1
-        while name in [n for n, _, _ in found]:
+        while name in [n for n, _, _ in (*moving, *still)]:
             count += 1
             name = f"{body.name} {count}"
-        found.append((name, body.mesh.vertices, body.mesh.faces))
-    return found
+        motion = getattr(body, "motion", None)
+        if motion is None:
+            still.append((name, body.mesh.vertices, body.mesh.faces))
+        else:
+            moving.append((name, motion.at(simulation.time), body.mesh.faces))
+    return moving, still
 
 
 def _as_points(values: ArrayLike) -> NDArray[np.float32]:

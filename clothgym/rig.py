@@ -238,7 +238,9 @@ class Rig:
         spine = [head("spine_03"), head("spine_02"), head("spine_01"), head("pelvis")]
         for name, s in (("left_leg", "l"), ("right_leg", "r")):
             joints = [head(f"{bone}_{s}") for bone in ("thigh", "calf", "foot")]
-            limbs.append(_limb(name, [chest, *spine, *joints], 5, np.array([0.0, -1.0, 0.0])))
+            limbs.append(
+                _limb(name, [chest, *spine, *joints], 5, joints[2] - joints[1])
+            )  # feet turn: on along the calf
         return tuple(limbs)
 
     def measures(self, pose: str | Mapping[str, Any] = "rest") -> Measures:

@@ -256,7 +256,7 @@ def test_a_diverged_drape_is_one_line_and_its_recording_is_closed(say: Any, dres
         ("skirt --body female --seconds nan", "--seconds = nan"),
         ("skirt --body female --material velvet", "--material = 'velvet': expected one of cotton"),
         ("skirt --body female --fidelity fast", "fidelity = 'fast'"),
-        ("skirt --body female --animate dance", "--animate = 'dance': expected walk"),
+        ("skirt --body female --animate dance", "--animate = 'dance': expected one of walk"),
         ("skirt --body female --mesher hexagons", "--mesher = 'hexagons'"),
         ("skirt --body female --mesher quads --grid 12", "--grid = '12': expected columns x rows"),
         ("skirt --body female --closing glue", "--closing = 'glue'"),

@@ -403,7 +403,11 @@ def _tables(document: dict[str, Any], asked: dict[str, Any]) -> list[Table]:
         ),
         Table("Drape", ("quantity", "value"), rows, "strains and penetrations: of the garment as it hangs at the end"),
         Table("Openings", ("opening", "should hold", "holds", "right"), openings),
-        *([Table("Walk", ("quantity", "value"), list(document["walk"].items()))] if "walk" in document else []),
+        *(
+            [Table("Walk", ("quantity", "value"), [(k, v) for k, v in document["walk"].items() if k != "openings"])]
+            if "walk" in document
+            else []
+        ),
         Table("Written", ("what", "file"), written),
     ]
 

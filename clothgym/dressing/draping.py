@@ -57,8 +57,10 @@ _LIGHTER = 0.25
 """Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
 it there."""
 _TANGLED = 40
-"""Hits after the fall from which on untangling takes longer than falling again with self-collision."""
-_FACE_POINT = 0.01
+"""Hits after the fall from which on untangling takes longer than falling again with self-collision,"""
+_PATIENCE = 0.5
+"""and time after which so many hits will not go away [s]."""
+_FACE_POINT = 0.012
 """[m] points of faces that are tested against the body lie this far from each other, but each side of a face"""
 _MOST_PARTS = 4
 """has no more parts than these."""
@@ -162,11 +164,14 @@ def drape(
         if wrong and not last:
             notes.append(f"{text}: not worn {when}, {wrong}")
             continue
-        if self_collision and intersections(x, garment.faces).hit_count > _TANGLED:
+        scene, tell = dataclasses.replace(scene, self_collision=self_collision), _told(progress, "drape", text)
+        tangled = self_collision and intersections(x, garment.faces).hit_count > _TANGLED
+        if not tangled:
+            simulation, speeds = _simulate(_begun(scene, x), effort, seconds, tell, on_step)
+            tangled = _hits(simulation) > 0
+        if tangled:
             notes.append(f"{text}: cloth passed through itself as it fell; it falls again and feels itself all the way")
-            x = sewn
-        scene = dataclasses.replace(_begun(scene, x), self_collision=self_collision)
-        simulation, speeds = _simulate(scene, effort, seconds, _told(progress, "drape", text), on_step)
+            simulation, speeds = _simulate(_begun(scene, sewn), effort, seconds, tell, on_step, patience=math.inf)
         _lap(clock, "drape", now)
         worn, moved = fitting.worn(garment, np.array(simulation.positions)), slides(garment, sewn, simulation.positions)
         report = _report(garment, simulation, speeds, worn, moved)
@@ -308,8 +313,10 @@ def _simulate(
     seconds: float,
     progress: Callable[[float, float], None] | None,
     on_step: Callable[[Simulation], None] | None,
+    patience: float = _PATIENCE,
 ) -> tuple[Simulation, tuple[float, float]]:
-    """Gravity until at rest, or until the time is over; mean and 99th percentile of the last speeds [m/s]."""
+    """Gravity until at rest, or until the time is over, or until the cloth has been tangled beyond the patience [s]; mean and
+    99th percentile of the last speeds [m/s]."""
     simulation = Simulation(scene, fidelity)
     if on_step is not None:
         on_step(simulation)
@@ -319,6 +326,8 @@ def _simulate(
         if on_step is not None:
             on_step(simulation)
         if rest.reached() and _hits(simulation) == 0:
+            break
+        if step * scene.step > patience and _hits(simulation) > _TANGLED:
             break
         if progress is not None:
             progress(step, steps)

@@ -21,9 +21,9 @@ from clothgym.rest import RestShape
 
 CLOSINGS = ("weld", "forces")
 
-RAMP = 100
+RAMP = 150
 """Iterations in which over-long edges come down to their rest lengths."""
-_AFTER = 40
+_AFTER = 60
 _KEEP = 0.9
 _SWEEPS = 6
 _CHUNK = 15

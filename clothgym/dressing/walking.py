@@ -84,13 +84,14 @@ def walk(
         if on_frame is not None:
             on_frame(simulation)
     limbs = rig.load(worn[0].body.name).limbs(Walk(worn[0].body.name, pose, stride=STRIDE).rotations(simulation.time))
-    x, right = np.array(simulation.positions), []
+    x, found = np.array(simulation.positions), []
     for garment, (_, vertices, _) in zip(worn, simulation.cloth_ranges):
         expected = expected_limbs(garment.garment, garment.body)
         loops = [x[vertices][loop] for loop in garment.garment.openings]
-        right += [threading(loop, limbs, name).right for loop, name in zip(loops, expected)]
+        found += [threading(loop, limbs, name) for loop, name in zip(loops, expected)]
     report = {
-        "worn": all(right),
+        "worn": all(opening.right for opening in found),
+        "openings": [{"expected": w.expected, "through": list(w.through), "right": w.right} for w in found],
         "hits_max": max((hits for hits, _ in told), default=0),
         "hits_longest": _longest([hits > 0 for hits, _ in told]),
         "hits_end": told[-1][0] if told else 0,

@@ -202,10 +202,10 @@ def narrowed(x, p, watched, count, inverse_masses, apart, both, yield_force, kno
 
 @kernel
 def narrow(x, p, watched, count, inverse_masses, apart, both, yield_force, known, contacts):
-    """Contacts on the way from x to p (V, 3); `known` of them were collected at the last look, negative = none is up to date.
+    """Contacts on the way from x to p (V, 3); `known` of them were collected at the last look, negative = none up to date.
 
-    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise; if
-    it is negative, they keep the distance that they have where it is less than the thickness.
+    Pairs beside an intersection (apart (V,)) are left out if yield_force [N] is 0, and may press no harder than it otherwise;
+    if it is negative, they keep the distance that they have where it is less than the thickness.
     Returns how many contacts there are, more than fit if the capacity does not suffice, how many of them are live, and how
     many pairs were measured.
     """

@@ -90,6 +90,13 @@ class Surface:
         return start, np.ascontiguousarray(others[order], np.int32), np.ascontiguousarray(ids[order], np.int32)
 
     @cached_property
+    def faces_around(self) -> tuple[IntArray, IntArray]:
+        """Faces at each vertex as CSR: start (V + 1,) and face ids."""
+        corners = self.faces.ravel()
+        start = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=self.vertex_count))]).astype(np.int32)
+        return start, (np.argsort(corners, kind="stable") // 3).astype(np.int32)
+
+    @cached_property
     def components(self) -> IntArray:
         """(V,) connected component of each vertex, numbered by the smallest vertex id."""
         from scipy.sparse import coo_array

@@ -78,7 +78,7 @@ def regions(exact: naive.Exact, contour: list[int], areas: np.ndarray) -> set[tu
     if colour is None:
         return set()
     ends = set(loops(exact, contour))
-    found = set()
+    found, parted = set(), {}
     for side in (0,) if ends else (1, -1):
         here = [h for h in contour if side == 0 or colour[h] == side]
         crossed = [exact.hits[h][:2] for h in here]
@@ -92,7 +92,32 @@ def regions(exact: naive.Exact, contour: list[int], areas: np.ndarray) -> set[tu
             parts = [frozenset(nx.node_connected_component(graph, v)) for v in edge]
             if parts[0] != parts[1]:
                 found.add((side, min(parts, key=lambda part: areas[list(part)].sum())))
+                parted[side] = parts
+    if {side for side, _ in found} == {1, -1} and len(found) == 2:
+        return _agreeing(exact, contour, colour, found, parted, areas)
     return found
+
+
+def _agreeing(exact: naive.Exact, contour, colour, found, parted, areas) -> set[tuple[int, frozenset[int]]]:
+    """Both regions of a contour, or, where they push their surfaces the same way instead of apart, the one of smaller share and
+    the other part of the surface of the other."""
+    push = np.zeros(3), np.zeros(3)
+    share = {}
+    for side, part in found:
+        whole = set().union(*parted[side])
+        share[side] = areas[list(part)].sum() / areas[list(whole)].sum()
+        for h in contour:
+            e0, e1, face = exact.hits[h]
+            if colour[h] == side and (e0 in part) != (e1 in part):
+                a, b, c = exact.vertices[exact.faces[face]]
+                normal = np.cross(b - a, c - a)
+                way = (exact.vertices[e1] - exact.vertices[e0]) * (1 if e0 in part else -1)
+                push[side > 0][:] += side * np.sign(normal @ way) * normal / np.linalg.norm(normal)
+    if push[0] @ push[1] >= 0:
+        return found
+    wrong = max(share, key=lambda side: share[side])
+    other = {s: next(p for p in parted[s] if (s, p) not in found) for s in (wrong,)}
+    return {(side, other.get(side, part)) for side, part in found}
 
 
 def triple_points(exact: naive.Exact) -> list[tuple[int, int, int]]:

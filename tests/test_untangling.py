@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import sys
 import types
 
@@ -34,17 +33,6 @@ def context_of(mesh, h0: float = 0.05, g0: float = 1.0, inverse_masses=None) -> 
 def gradients(hits) -> np.ndarray:
     """(H, 3) G = S - 2 kappa N of every hit, from the frames."""
     return hits.frames[:, :3] - 2.0 * hits.frames[:, 6:7] * hits.frames[:, 3:6]
-
-
-def with_hits(hits, kept):
-    """The same intersections as a detector would report that saw only some of the hits."""
-    seen = copy.copy(hits)
-    seen.__dict__.pop("frames", None)
-    for name in ("hit_edge", "hit_face", "parameters", "weights", "points"):
-        setattr(seen, name, np.ascontiguousarray(getattr(hits, name)[kept]))
-    seen.hit_count = int(kept.sum())
-    seen._join()
-    return seen
 
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -90,7 +78,7 @@ def test_one_hit_gets_its_relative_displacement(fixed):
     hits = context.intersections
     rows = hits.edge_triangle.tolist()
     assert [0, 1, 1] in rows
-    one = with_hits(hits, np.array([row == [0, 1, 1] for row in rows]))
+    one = hits.keeping(np.array([row == [0, 1, 1] for row in rows]))
     context = Context(one, w, context.areas, 10.0, 1.0)
     wanted = np.array([[0.3, -0.2, 0.1]])
     moved = untangling.displacements(context, wanted)
@@ -258,7 +246,7 @@ def test_half_of_the_hits_ignored_still_resolves(name, seed):
             self.ignored += int((~kept).sum())
             if not kept.any():
                 return Corrections(np.zeros_like(context.intersections.vertices))
-            seen = with_hits(context.intersections, kept)
+            seen = context.intersections.keeping(kept)
             return untangling.get("global").propose(
                 Context(seen, context.inverse_masses, context.areas, context.h0, context.g0)
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels import regions as kernels
 from clothgym.kernels import sides
 from clothgym.mesh import vertex_areas
@@ -26,13 +26,15 @@ DOUBTFUL = 0.4
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a surface that a contour cuts off: of two parts that meet along it, the one of smaller area.
+    """A part of a surface that a contour cuts off: of two parts that meet along it, the one of smaller area, or the larger one
+    where only that agrees with the other surface.
 
     Attributes:
         side: +1 or -1, the side of the contour (see `Intersections.hit_side`) whose surface it is part of; 0 where both sides
             cut it off together, between loop vertices.
         area: [m^2], of its vertices.
-        share: of the area of its connected component; which part went through is a guess where that is near a half.
+        share: of the area of its connected component; which part went through is a guess where that is near a half, and more
+            than half of the surface has gone through where it exceeds it.
         vertices: ids.
         depth: of its deepest vertex below the other surface [m]: distance to the faces that the contour pierces and to the
             region on the other side.
@@ -109,6 +111,9 @@ class Enclosed:
     contour and the border of the other surface is the shortest way there. Contours whose sides cannot be told apart cut off
     nothing.
 
+    Of two parts the smaller one is inside. Where that makes the two surfaces push each other the same way, it is the larger
+    part on that surface where it is the closer call.
+
     Args:
         hits: intersections.
         areas: (V,) of the vertices [m^2], which decide what is smaller; of the rest shape, so that no stretch changes the mind.
@@ -171,6 +176,38 @@ class Enclosed:
         self.contour, self.side = found.contour[:regions], found.side[:regions]
         self.area, self.share = found.area[:regions], found.share[:regions]
         self.start, self._members = found.start[: regions + 1], members[:used]
+        for region in self._contradictions():
+            self._turn(region)
+
+    def _contradictions(self) -> list[int]:
+        """Regions that push the other way than the region on the other side of their contour, and are the larger share of
+        their surface: the part that went through exceeds half of it, and the rest was taken for it."""
+        both = [
+            pair
+            for pair in self.of_contour
+            if len(pair) == 2 and self.side[pair].all() and self.side[pair].sum() == 0.0
+        ]
+        if not both:
+            return []
+        hits = self.hits
+        chosen = np.flatnonzero(self.inside_end >= 0)
+        turned = hits.hit_side[chosen, None] * self.outward()[chosen]
+        region = self.region[chosen]
+        push = np.stack([np.bincount(region, turned[:, axis], minlength=len(self)) for axis in range(3)], axis=1)
+        return [max(pair, key=lambda r: self.share[r]) for pair in both if push[pair[0]] @ push[pair[1]] < 0.0]
+
+    def _turn(self, region: int) -> None:
+        """Takes the other part of the surface for the region."""
+        members = self.vertices(region)
+        component = self.hits.surface.components
+        others = np.setdiff1d(np.flatnonzero(component == component[members[0]]), members).astype(np.int32)
+        parts = [others if r == region else self.vertices(r) for r in range(len(self))]
+        self._members = np.concatenate(parts)
+        self.start = np.cumsum([0, *(len(part) for part in parts)])
+        at = (self.region == region) & (self.inside_end >= 0)
+        self.inside_end[at] = 1 - self.inside_end[at]
+        self.area[region] *= (1.0 - self.share[region]) / self.share[region]
+        self.share[region] = 1.0 - self.share[region]
 
     def __len__(self) -> int:
         return len(self.contour)
@@ -211,19 +248,14 @@ class Enclosed:
         members = order[bounds[c] : bounds[c + 1]]
         if side != 0.0:
             members = members[hits.hit_side[members] == side]
+        start, around = surface.faces_around
+        across = [v for other in self.of_contour[c] if self.side[other] != side for v in self.vertices(other).tolist()]
+        chosen = np.unique(np.concatenate([hits.hit_face[members], *(around[start[v] : start[v + 1]] for v in across)]))
         inside = np.zeros(surface.vertex_count, np.bool_)
-        for other in self.of_contour[c]:
-            if self.side[other] != side:
-                inside[self.vertices(other)] = True
-        chosen: BoolArray = np.array(inside[surface.faces].any(axis=1))
-        chosen[hits.hit_face[members]] = True
-        inside[:] = False
         inside[self.vertices(region)] = True
-        if side == 0.0:
-            chosen &= ~inside[surface.faces].any(axis=1)
-        else:
-            chosen &= ~inside[surface.faces].all(axis=1)
-        return np.flatnonzero(chosen).astype(np.int32)
+        own = inside[surface.faces[chosen]]
+        faces: IntArray = chosen[~(own.any(axis=1) if side == 0.0 else own.all(axis=1))]
+        return faces
 
     def nearest(self, region: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
         """Where a region's vertices would go back through.

@@ -109,7 +109,10 @@ def impact_substeps(model: ClothModel, stretch: float) -> float:
     lowest = np.full(components.max() + 1, math.inf)
     np.minimum.at(lowest, components[loose], scene.start[loose, 1])
     height = max(0.0, float(lowest[np.isfinite(lowest)].max()) - scene.ground)
-    speed = math.sqrt(2.0 * float(np.linalg.norm(scene.gravity)) * height)
+    gravity = float(np.linalg.norm(scene.gravity))
+    speed = math.sqrt(2.0 * gravity * height)
+    if model.damping > 0.0:
+        speed = min(speed, gravity / model.damping)  # no fall is faster
     return IMPACT * speed * scene.step / model.mean_edge * (0.1 / stretch) ** _IMPACT_POWER
 
 

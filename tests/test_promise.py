@@ -184,6 +184,7 @@ def test_a_fall_to_the_ground_takes_substeps():
     assert needed(ground=-1.0, cells=16) == pytest.approx(2.0 * once, rel=2e-3)
     assert needed(ground=-1.0, stretch=0.01) == pytest.approx(10**0.65 * once)
     assert needed() == needed(ground=-1.0, pins=(0,)) == needed(ground=0.5) == 0.0
+    assert needed(ground=-100.0) == needed(ground=-200.0) > needed(ground=-10.0), "drag ends every fall's acceleration"
 
 
 def test_symplectic_euler_goes_by_its_stability_alone():

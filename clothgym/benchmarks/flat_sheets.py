@@ -130,6 +130,7 @@ def table(rows: list[Row]) -> Table:
     )
     note = (
         "processor time of a step of hanging_sheet at balanced; the check decides that the sheet is a height field and stays "
-        "one; its share is over the same substeps and sweeps without self-collision; the search is the same run with flat_check off; states are compared bit by bit"
+        "one; its share is over the same substeps and sweeps without self-collision; the search is the same run with "
+        "flat_check off; states are compared bit by bit"
     )
     return Table("A flat sheet that cannot touch itself", columns, cells, note)

@@ -142,7 +142,7 @@ def _closest_on_edges(x, a0, a1, b0, b1):
     return s, t, math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@device
+@inlined
 def _edge_edge_distance(x, a0, a1, b0, b1):
     """Distance [m] of two edges."""
     return _closest_on_edges(x, a0, a1, b0, b1)[2]

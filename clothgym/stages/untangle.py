@@ -119,15 +119,16 @@ class UntangleOnBody(Untangle):
 
     def __init__(self, candidates: Any, model: ClothModel, *others: Any) -> None:
         super().__init__(candidates, model, *others)
-        from clothgym.body import joined
+        from clothgym.body import joined, vertices_at
         from clothgym.detection.hierarchy import Hierarchy
         from clothgym.mesh import Surface, vertex_areas
 
-        self.body, faces = joined(model.scene.bodies)
+        self.bodies, self.vertices_at = model.scene.bodies, vertices_at
+        body, faces = joined(self.bodies)
         count = model.vertex_count
-        self.surface = Surface(np.concatenate([model.faces, faces + count]), count + len(self.body))
-        self.inverse_masses = np.concatenate([self.inverse_masses, np.zeros(len(self.body))])
-        self.areas = np.concatenate([self.areas, vertex_areas(self.body, faces)])
+        self.surface = Surface(np.concatenate([model.faces, faces + count]), count + len(body))
+        self.inverse_masses = np.concatenate([self.inverse_masses, np.zeros(len(body))])
+        self.areas = np.concatenate([self.areas, vertex_areas(body, faces)])
         self.tree = Hierarchy(self.surface, np.concatenate([model.scene.start, self.body]))
         self.of_cloth = self.surface.edges[:, 0] < count, self.surface.faces[:, 0] < count
         self.name = f"{self.name[:-1]}, bodies]"
@@ -136,7 +137,7 @@ class UntangleOnBody(Untangle):
         return False
 
     def _look(self, frame: Frame) -> Any:
-        x = np.concatenate([frame.state.positions, self.body])
+        x = np.concatenate([frame.state.positions, self.vertices_at(self.bodies, frame.state.time)])
         self.tree.refit(x, x, 0.0)
         edge_face = self._seen(self.tree.edges_against_faces())
         edges, faces = self.of_cloth

@@ -129,7 +129,7 @@ class UntangleOnBody(Untangle):
         self.surface = Surface(np.concatenate([model.faces, faces + count]), count + len(body))
         self.inverse_masses = np.concatenate([self.inverse_masses, np.zeros(len(body))])
         self.areas = np.concatenate([self.areas, vertex_areas(body, faces)])
-        self.tree = Hierarchy(self.surface, np.concatenate([model.scene.start, self.body]))
+        self.tree = Hierarchy(self.surface, np.concatenate([model.scene.start, body]))
         self.of_cloth = self.surface.edges[:, 0] < count, self.surface.faces[:, 0] < count
         self.name = f"{self.name[:-1]}, bodies]"
 

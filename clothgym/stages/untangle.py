@@ -69,7 +69,7 @@ class Untangle:
                 self._mark(model, hits, inside)
         if moved:
             # what is tangled soon goes elsewhere than expected
-            self.pairs.look(frame, 1)
+            self.pairs.look(frame, self.pairs.short)
 
     def _mark(self, model: ClothModel, hits: Any, inside: Any) -> None:
         """Vertices around the hits, and inside enclosed regions: contact there would lock the wrong side."""

@@ -13,6 +13,7 @@ from clothgym.kernels.integrate import Motion
 from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
 from clothgym.stages.integrate import Step
+from clothgym.stages.pairs import short_horizon
 
 _WORK = ("contacts", "measured", "repaired", "zoned", "unproved")
 """What `kernels.contact_substeps` counts, in its order."""
@@ -43,6 +44,7 @@ class ContactSubsteps:
         beside = {"yield": fidelity.yield_force, "limited": -1.0}  # see `kernels.contact.narrow`
         self.near = (fidelity.contacts_near_hits == "off_both", beside.get(fidelity.contacts_near_hits, 0.0))
         self.rounds = fidelity.repair_rounds
+        self.short = short_horizon(step.substeps)
         in_sweeps = step.integrator.in_sweeps
         self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
         able = self.in_one_kernel and in_sweeps and not fidelity.continuous
@@ -171,7 +173,7 @@ class ContactSubsteps:
         late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))
         if late or done >= horizon:
             # what changes its mind is looked at again soon, what kept its course for twice as long
-            horizon = 1 if late else min(max(1, 2 * horizon), s.substeps - n)
+            horizon = min(self.short if late else max(1, 2 * horizon), s.substeps - n)
             self._find(frame, horizon * (p - x), n, horizon)
             now = frame.clock(f"{self.name}: find again", now)
         measured = self.contacts.narrow(x, p, found, self.apart, *self.near)
@@ -186,8 +188,9 @@ class ContactSubsteps:
             share = (n + 1 - self.base) / self.horizon
             if found.outdated(p, share):
                 # something moved further than expected: look again around where everything really goes
-                self._find(frame, p - x, n, 1)
-                share = 1.0
+                horizon = min(self.short, s.substeps - n)
+                self._find(frame, horizon * (p - x), n, horizon)
+                share = 1.0 / horizon
                 now = frame.clock(f"{self.name}: find again", now)
             new, repaired, zoned, unproved = self.prove(
                 x, p, model.inverse_masses, model.thickness, found.watched, found.count, self.apart, self.near[0],

@@ -11,6 +11,11 @@ from clothgym.stages.frame import Frame
 from clothgym.state import ClothState
 
 
+def short_horizon(substeps: int) -> int:
+    """Substeps of an eighth of a step: how far to look ahead for what changes its mind, however many substeps there are."""
+    return max(1, substeps // 8)
+
+
 class Rebuild:
     """A new tree where the old one has grown too loose."""
 
@@ -50,6 +55,7 @@ class FacePairs:
 
     def __init__(self, candidates: Any, scene_step: float, substeps: int, gravity: FloatArray) -> None:
         self.candidates, self.step, self.substeps, self.gravity = candidates, scene_step, substeps, gravity
+        self.short = short_horizon(substeps)
         self.free = (candidates.model.inverse_masses > 0)[:, None]
         self.travel = np.zeros((len(self.free), 3))
         self.fall = np.zeros((len(self.free), 3))

@@ -78,7 +78,7 @@ class Untangle:
                 self._mark(model, hits, inside)
         if moved:
             # what is tangled soon goes elsewhere than expected
-            self.pairs.look(frame, 1)
+            self.pairs.look(frame, self.pairs.short)
 
     def _untouched(self, frame: Frame) -> bool:
         """Whether it is known without looking that nothing intersects."""

@@ -137,7 +137,7 @@ class Fidelity:
         build_space: "mezger" splits faces by where they are at the start ("pose") or in the "pattern": the rest shape.
         rebuild_growth: a tree is made anew when the surface of its boxes has grown by this factor (a flat sheet's more than
             doubles when it crumples); 0 = never. Costs sorted pairs with "hierarchy", may save box tests. Misses nothing.
-        repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.certify`).
+        repair_rounds: sweeps that push pairs apart before zones move as one (see `kernels.certificate.keep_apart`).
         continuous: test pairs that the certificate of contact does not cover continuously, and count those that pass each
             other as `tunnel_events`; nothing else changes. Took 8 % more for tangled squares, nothing measurable
             without intersections.

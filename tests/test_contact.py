@@ -294,7 +294,7 @@ def test_certified_paths_never_cross(seed, rounds):
     assert naive.collisions(x, p, model.faces, quads=both), "nothing would cross: the test shows nothing"
     _, watched = narrowed(x, p, quads, kinds, model.thickness.min())
     before = p.copy()
-    certificate.certify(
+    certificate.keep_apart(
         x, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), watched.separation, rounds
     )
     assert naive.collisions(x, p, model.faces, quads=both) == []
@@ -313,7 +313,7 @@ def test_certify_leaves_safe_paths_alone():
     quads, kinds = every_quad(model.faces)
     _, watched = narrowed(scene.start, p, quads, kinds, 0.01)
     before = p.copy()
-    result = certificate.certify(
+    result = certificate.keep_apart(
         scene.start, p, model.inverse_masses, model.thickness, quads, kinds, len(quads), watched.separation, 8
     )
     assert tuple(result) == (0, 0)
@@ -329,7 +329,7 @@ def test_certify_alone_stops_one_vertex_at_one_triangle():
     for rounds in (0, 20):
         q = p.copy()
         _, watched = narrowed(x, q, quads, kinds, 0.1)
-        certificate.certify(x, q, w, np.full(4, 0.1), quads, kinds, 1, watched.separation, rounds)
+        certificate.keep_apart(x, q, w, np.full(4, 0.1), quads, kinds, 1, watched.separation, rounds)
         assert q[0, 1] - q[1:, 1].max() >= 0.01 - 1e-12
         assert (q - p).T @ (1 / w) == pytest.approx(0.0, abs=1e-12)
 

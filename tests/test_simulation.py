@@ -605,6 +605,7 @@ KNOBS = {
     "body_tolerance": (on_ball, CONTACT, 5e-3, 0, "state"),
     "body_faces": (on_ball, CONTACT, 0, 0, "state"),
     "body_normals": (on_ball, CONTACT, "interpolated", 0, "state"),
+    "body_views": (on_ball, CONTACT, "z", 0, "state"),
     "body_response": (on_ball, CONTACT, "velocity", 0, "state"),
 }
 """Field: scene, base, other value, initial speed, and what must change."""

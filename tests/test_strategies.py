@@ -503,7 +503,6 @@ def test_cloth_is_untangled_from_a_body_and_the_body_stays():
     plain = cg.Simulation(scene, fidelity(**settings))
     assert "bodies]" in sim.pipeline.describe()
     stage = sim.pipeline.stages[1]
-    stage.tree.refit(np.concatenate([sim.positions, stage.body]), np.concatenate([sim.positions, stage.body]), 0.0)
     hits = stage._look(sim._frame)
     assert hits.hit_count > 10
     components = {c.components for c in hits.contours}

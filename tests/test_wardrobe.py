@@ -104,7 +104,7 @@ def test_patterns_are_placed_around_the_body_and_sewn_on(name: str, person: cg.B
     found = fitting.worn(garment, x)
     assert sorted(w.expected for w in found) == sorted(LIMBS[name])
     assert not what_is_wrong(found)
-    assert exact.depth(x).max() < 3e-3
+    assert exact.depth(x).max() < 4e-3, "in the armpits, before the drape"
 
 
 @pytest.mark.parametrize("name", wardrobe.NAMES)

@@ -131,12 +131,6 @@ def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation,
                 p[i, c] = x[i, c] + mean[root, c] / mass[root]
 
 
-@kernel
-def certify(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds):
-    """See `keep_apart`."""
-    return keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds)
-
-
 @device
 def prove_all(x, p, inverse_masses, thickness, watched, count, apart, both, leave, rounds):
     """Makes sure that no watched pair crosses on the straight way from x to p; changes p where needed.

@@ -82,7 +82,10 @@ MADE: dict[str, Callable[[float], Any]] = {
     **_fields("fidelity", cg.Fidelity),
     **_fields("material", cg.Material),
     **_fields("grip", cg.Grip),
-    **{f"scene.{name}": _scene(name) for name in ("ground", "wind_drag", "step", "duration", "self_collision")},
+    **{
+        f"scene.{name}": _scene(name)
+        for name in ("ground", "wind_drag", "step", "duration", "self_collision", "ignored")
+    },
     "scene.gravity": lambda value: cg.Scene((cg.Cloth(_square()),), gravity=(0.0, value, 0.0)),
     "scene.wind": lambda value: cg.Scene((cg.Cloth(_square()),), wind=(0.0, 0.0, value)),
     "cloth.vertices": lambda value: cg.Cloth(_mesh(value)),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 
 
-@device
+@bare
 def pull(x, grips, time, a):
     """Force of anchor a per distance [N/m]; the share of its second derivative that is missing along the pull, over the
     square of the distance (at the force limit: all of it); the way to the target [m]."""
@@ -21,7 +21,7 @@ def pull(x, grips, time, a):
     return grips.force_limit[a] / size, 1.0 / (size * size), dx, dy, dz
 
 
-@device
+@bare
 def add_grip_pulls(x, grips, time, f):
     """Adds the pulls of all anchors to f (V, 3) [N]; time [s] since the start of the step moves their targets."""
     for a in range(grips.vertices.shape[0]):
@@ -32,7 +32,7 @@ def add_grip_pulls(x, grips, time, f):
         f[v, 2] += k * dz
 
 
-@device
+@bare
 def grip_energy(x, grips, time):
     """k d^2 / 2 up to the force limit, linear beyond [J]."""
     total = 0.0
@@ -48,7 +48,7 @@ def grip_energy(x, grips, time):
     return total
 
 
-@device
+@bare
 def book_pulls(p, inverse_masses, grips, time, dt):
     """Books the pulls at the end p of a substep, as `integrate.hold` books its projections."""
     for a in range(grips.vertices.shape[0]):

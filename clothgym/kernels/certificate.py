@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, inlined, kernel
+from clothgym._jit import bare, device, inlined, kernel
 from clothgym.kernels.near_pairs import KEEP, OPEN, PROOF, look, spread
 
 _ATTEMPTS = 4
@@ -42,7 +42,7 @@ def _needed(separation, thickness, quads, n):
     return KEEP * min(separation[n, 3], h)
 
 
-@device
+@bare
 def _find(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 
 _TIGHT = 0.5
 """Share of the thickness below which a pressed contact counts as tight."""
@@ -16,7 +16,7 @@ _BALANCED = 0.5
 """Pushes from opposite sides: their sum is a smaller share of their sizes than this."""
 
 
-@device
+@bare
 def _between_layers(p, contacts, count, push, clamped):
     """Marks vertices, clamped (V,), that tight contacts press from opposite sides at the end of a substep; returns how many.
 
@@ -51,7 +51,7 @@ def _between_layers(p, contacts, count, push, clamped):
     return found
 
 
-@device
+@bare
 def _share_room(p, contacts, count, clamped, push):
     """Moves each clamped vertex into the middle of what presses it, so that no side takes all the room there is.
 
@@ -99,7 +99,7 @@ def _share_room(p, contacts, count, clamped, push):
                 p[v, c] += 0.5 * (push[v, c] + push[v, 4 + c])
 
 
-@device
+@bare
 def _any_tight(p, contacts, count):
     quads = contacts.quads
     weights = contacts.weights
@@ -122,7 +122,7 @@ def _any_tight(p, contacts, count):
     return False
 
 
-@device
+@bare
 def settle(p, contacts, count, push, clamped):
     """See `settle_clamped`."""
     if not _any_tight(p, contacts, count):
@@ -160,6 +160,6 @@ def between_bodies(contact, least, clamped):
     return found
 
 
-@device
+@bare
 def _is_balanced(x, y, z, size):
     return size > 0.0 and math.sqrt(x * x + y * y + z * z) < _BALANCED * size

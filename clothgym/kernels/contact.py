@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, device, kernel
 from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import add_grip_forces, hold_grips, keep_above_ground
 from clothgym.kernels.near_pairs import LOOK, NEAR, look, spread
@@ -56,7 +56,7 @@ NO_CONTACTS = Contacts(
 """Of a scene in which cloth touches no cloth."""
 
 
-@device
+@bare
 def _link(watched, count):
     """Lists of the near pairs of each vertex with a triangle."""
     heads = watched.heads
@@ -72,7 +72,7 @@ def _link(watched, count):
             heads[v] = n
 
 
-@device
+@bare
 def _is_nearest(n, quads, weights, gaps, links, first):
     """Whether no triangle around the closest point of pair n is nearer to its vertex, among those listed from `first` on.
 
@@ -92,7 +92,7 @@ def _is_nearest(n, quads, weights, gaps, links, first):
     return True
 
 
-@device
+@bare
 def _collect(watched, count, inverse_masses, yield_force, contacts):
     """Contacts of the near pairs; returns how many, more than fit if the capacity does not suffice.
 
@@ -152,7 +152,7 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
     return found
 
 
-@device
+@bare
 def _start(x, p, contacts, count, reach):
     """Those of `count` contacts that may press on the way from x to p, with multipliers of zero; `reach` is the relative motion
     since the last look. Returns how many."""
@@ -186,7 +186,7 @@ def _start(x, p, contacts, count, reach):
     return live
 
 
-@device
+@bare
 def narrowed(x, p, watched, count, inverse_masses, apart, both, yield_force, known, contacts):
     """See `narrow`."""
     motion = spread(p, watched)
@@ -212,7 +212,7 @@ def narrow(x, p, watched, count, inverse_masses, apart, both, yield_force, known
     return narrowed(x, p, watched, count, inverse_masses, apart, both, yield_force, known, contacts)
 
 
-@device
+@bare
 def project_contacts(x, p, inverse_masses, contacts, count, friction, dt):
     """One Gauss-Seidel sweep over `count` live contacts: keep the thickness along the normal, Coulomb friction across it;
     momentum is kept."""
@@ -294,7 +294,7 @@ def project_cloth(p, cloth, dt, multipliers, runs, once):
         project_in_runs(p, runs[0], runs[1], once)
 
 
-@device
+@bare
 def forget_multipliers(multipliers, runs, once):
     """Those of a new substep are zero; a single sweep over runs has none."""
     if runs is None:
@@ -332,7 +332,7 @@ def solve(
     add_grip_forces(grips, motion.dt)
 
 
-@device
+@bare
 def take_rebound(v, inverse_masses, contacts, count, dt):
     """See `stop_rebound`."""
     quads = contacts.quads

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 from clothgym.kernels.certificate import prove_all
 from clothgym.kernels.clamped import settle
 from clothgym.kernels.contact import narrowed, sweep_all, take_rebound
 from clothgym.kernels.integrate import accelerate, add_grip_forces, finish_substep
-from clothgym.kernels.proximity import deviation
+from clothgym.kernels.proximity import strays
 
 CONTACTS, MEASURED, REPAIRED, ZONED, UNPROVED = range(5)
 """Places in the counts of work."""
@@ -40,13 +40,13 @@ class Rules(NamedTuple):
     apart: NDArray  # (V,) bool: beside an intersection
 
 
-@device
+@bare
 def _strays(x, expected, substep):
     share = (substep - expected.base) / expected.horizon
-    return not deviation(x, expected.start, expected.travel, share, expected.slack) <= 0.0
+    return strays(x, expected.start, expected.travel, share, expected.slack)
 
 
-@device
+@bare
 def _give_back(v, kept):
     for i in range(v.shape[0]):
         for c in range(3):

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 from clothgym.kernels.contact import NO_CONTACTS, sweep_all
 from clothgym.kernels.integrate import accelerate, add_grip_forces, finish_substep
 from clothgym.kernels.outline import clearance
@@ -72,7 +72,7 @@ class Tube(NamedTuple):
     drift: NDArray  # (3,) [m] how far all go on average
 
 
-@device
+@bare
 def _plane(x, u, sheets, shapes, c, axes):
     """Origin and axes of the plane across the mean normal halfway; whether there is one.
 
@@ -130,7 +130,7 @@ def _plane(x, u, sheets, shapes, c, axes):
     return True
 
 
-@device
+@bare
 def _project(x, u, sheets, c, axes, ways):
     """Fills the ways of a component, less what all go on average; returns a size [m] that no coordinate or way exceeds.
 
@@ -171,7 +171,7 @@ def _project(x, u, sheets, c, axes, ways):
     return size + abs(ox) + abs(oy) + abs(oz) + (total - total)
 
 
-@device
+@bare
 def _least_width(shapes, c, ways):
     """Least altitude [m] of the projected triangles at any time of the motion; 0 if one does not have positive area.
 
@@ -205,7 +205,7 @@ def _least_width(shapes, c, ways):
     return math.sqrt(area / side)
 
 
-@device
+@bare
 def _apart(boxes, reach):
     """Whether all boxes are further apart than the larger reach of both."""
     for c in range(boxes.shape[0]):
@@ -219,7 +219,7 @@ def _apart(boxes, reach):
     return True
 
 
-@device
+@bare
 def _open(boxes):
     """Boxes of nothing."""
     for c in range(boxes.shape[0]):
@@ -228,7 +228,7 @@ def _open(boxes):
             boxes[c, 3 + k] = -math.inf
 
 
-@device
+@bare
 def _widen(x, u, share, drifted, sheets, tube):
     """Widens the box of every component by x + share u - drifted * drift."""
     boxes = tube.boxes
@@ -279,7 +279,7 @@ def decide(x, u, sheets, shapes, tube):
     return True
 
 
-@device
+@bare
 def _stays(x, share, sheets, tube):
     ways = tube.ways
     for c in range(sheets.reach.shape[0]):

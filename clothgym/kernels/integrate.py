@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, device, kernel
 from clothgym.kernels.elastic import add_elastic_forces, project_elastic
 from clothgym.kernels.position_modification import modify_positions
 from clothgym.kernels.springs import ClothArrays
@@ -64,7 +64,7 @@ class Grips(NamedTuple):
     forces: NDArray  # (A, 3) [N] sum over the substeps of a step
 
 
-@device
+@bare
 def hold_grips(p, inverse_masses, grips, dt, time):
     """XPBD projection of soft anchors with a limited force (the cloth slips through above it)."""
     for a in range(grips.vertices.shape[0]):
@@ -88,7 +88,7 @@ def hold_grips(p, inverse_masses, grips, dt, time):
             p[v, c] += w * grips.multipliers[a, c]
 
 
-@device
+@bare
 def keep_above_ground(x, p, inverse_masses, radii, ground):
     """Lifts vertices to ground.height + radius and applies Coulomb friction against the position they came from."""
     for i in range(p.shape[0]):
@@ -105,7 +105,7 @@ def keep_above_ground(x, p, inverse_masses, radii, ground):
             p[i, 2] = x[i, 2] + keep * dz
 
 
-@device
+@bare
 def accelerate(x, v, p, cloth, motion):
     """XPBD prediction: external accelerations only."""
     factor = 1.0 / (1.0 + motion.damping * motion.dt)
@@ -159,7 +159,7 @@ def euler_positions(x, v, p, f, cloth, motion):
         modify_positions(p, cloth, motion.stretch_limit, motion.corrections)
 
 
-@device
+@bare
 def finish_substep(x, v, p, dt):
     for i in range(x.shape[0]):
         for c in range(3):
@@ -167,12 +167,12 @@ def finish_substep(x, v, p, dt):
             x[i, c] = p[i, c]
 
 
-@device
+@bare
 def start_grips(grips):
     grips.multipliers[:] = 0.0
 
 
-@device
+@bare
 def add_grip_forces(grips, dt):
     for a in range(grips.vertices.shape[0]):
         for c in range(3):

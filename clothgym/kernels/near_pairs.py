@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import device, inlined, kernel
+from clothgym._jit import bare, inlined, kernel
 from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle
 
 ACTIVE = 1.25
@@ -88,7 +88,7 @@ def left_apart(apart, quads, n, kind, both):
     return (one and two) if both else (one or two)
 
 
-@device
+@bare
 def _drift(p, seen):
     """How far all went on average."""
     mx = 0.0
@@ -101,7 +101,7 @@ def _drift(p, seen):
     return mx / p.shape[0], my / p.shape[0], mz / p.shape[0]
 
 
-@device
+@bare
 def spread(p, watched):
     """Twice the longest way [m] since the last look, less what all go on average: no two vertices moved further against
     each other."""
@@ -184,7 +184,7 @@ def _measure(x, n, quads, kinds, weights, separation, known):
     return distance
 
 
-@device
+@bare
 def look(x, p, watched, count, apart, both, leave):
     """Brings what is known of all pairs to positions x, for a substep that leads to p.
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 
-from clothgym._jit import device
+from clothgym._jit import bare
 
 _PAIRS = 64
 """Pairs of edges of an outline that are looked at, per edge: an outline with more in one place is not decided."""
 
 
-@device
+@bare
 def _halfway(ways, i):
     return ways[i, 0] + 0.5 * ways[i, 2], ways[i, 1] + 0.5 * ways[i, 3]
 
 
-@device
+@bare
 def _from_edge(ways, v, i, j):
     """Distance [m] of vertex v from edge (i, j) halfway."""
     px, py = _halfway(ways, v)
@@ -33,7 +33,7 @@ def _from_edge(ways, v, i, j):
     return math.sqrt(px * px + py * py)
 
 
-@device
+@bare
 def _side(ways, i, j, v):
     """On which side of an edge's line a vertex is halfway: 1 on the left, 0 where rounding may decide."""
     ax, ay = _halfway(ways, i)
@@ -46,7 +46,7 @@ def _side(ways, i, j, v):
     return 1 if one > two else -1
 
 
-@device
+@bare
 def _stray(ways, i, j):
     """How far two vertices move against each other, up to halfway or from there on [m]."""
     u = ways[i, 2] - ways[j, 2]
@@ -54,7 +54,7 @@ def _stray(ways, i, j):
     return 0.5 * math.sqrt(u * u + v * v)
 
 
-@device
+@bare
 def _edges_clear(ways, a, b, c, d):
     """Least distance [m] at any time of a vertex of edge (a, b) or (c, d) from the other edge, if it does not end there.
 
@@ -80,7 +80,7 @@ def _edges_clear(ways, a, b, c, d):
     return least - stray
 
 
-@device
+@bare
 def _interval(ways, i, j, k):
     """Interval of an edge on its way along axis k of the plane."""
     low = min(ways[i, k] + min(ways[i, 2 + k], 0.0), ways[j, k] + min(ways[j, 2 + k], 0.0))
@@ -88,7 +88,7 @@ def _interval(ways, i, j, k):
     return low, high
 
 
-@device
+@bare
 def _sort(lows, order, spare, first, last):
     """Sorts the edges first .. last - 1 of an outline by their lower ends: runs of 1, 2, 4 ... are merged."""
     for n in range(first, last):
@@ -112,7 +112,7 @@ def _sort(lows, order, spare, first, last):
         run *= 2
 
 
-@device
+@bare
 def clearance(shapes, c, ways, radius):
     """Least distance [m], at any time, of a vertex of an outline from an edge of it that does not end there, at most 2 radius.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from clothgym._jit import device
+from clothgym._jit import bare
 
 
-@device
+@bare
 def modify_positions(p, cloth, threshold, sweeps):
     """Shortens springs longer than (1 + threshold) l0 to that length, one after the other; p (V, 3) is changed in place.
 

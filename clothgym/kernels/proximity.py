@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, inlined, kernel
+from clothgym._jit import bare, inlined, kernel
 from clothgym.kernels.primitives import (
     closest_on_edges,
     closest_on_triangle,
@@ -199,22 +199,22 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
     return found
 
 
-@device
-def deviation(x, start, u, share, slack):
-    """See `largest_deviation`."""
-    worst = -math.inf
+@bare
+def strays(x, start, u, share, slack):
+    """See `strays_from`."""
+    away = False
     for i in range(x.shape[0]):
         dx = x[i, 0] - start[i, 0] - share * u[i, 0]
         dy = x[i, 1] - start[i, 1] - share * u[i, 1]
         dz = x[i, 2] - start[i, 2] - share * u[i, 2]
-        worst = max(worst, math.sqrt(dx * dx + dy * dy + dz * dz) - slack[i])
-    return worst
+        away |= not dx * dx + dy * dy + dz * dz <= slack[i] * slack[i]
+    return away
 
 
 @kernel
-def largest_deviation(x, start, u, share, slack):
-    """By how much [m] some vertex is further than its slack from where it was expected, start + share u; < 0 = none is."""
-    return deviation(x, start, u, share, slack)
+def strays_from(x, start, u, share, slack):
+    """Whether some vertex is further than its slack (V,) [m] from where it was expected, start + share u (V, 3)."""
+    return strays(x, start, u, share, slack)
 
 
 @kernel

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, kernel
 
 CHUNK = 1024
 """Springs that are worked on at a time: their corrections fit into the nearest cache."""
@@ -45,14 +45,14 @@ class RunSpace(NamedTuple):
     constants: NDArray  # (2,) share of the way that damping takes, least length of a spring [m]
 
 
-@device
+@bare
 def _difference(p, base, i, j):
     if base is None:
         return p[j] - p[i]
     return (base[j] - base[i]) + (p[j] - p[i])
 
 
-@device
+@bare
 def _move(p, base, i0, j0, length, mobility, pull):
     """Moves both ends along one axis."""
     for k in range(length):
@@ -61,7 +61,7 @@ def _move(p, base, i0, j0, length, mobility, pull):
         p[j0 + k] -= mobility[j0 + k] * g
 
 
-@device
+@bare
 def _project_chunk(px, py, pz, bx, by, bz, i0, j0, length, entry, springs, pull, multipliers, least):
     """A piece of a run; `multipliers` is None in a substep's only sweep, which finds zeros and leaves nothing."""
     rest = springs.rest
@@ -83,7 +83,7 @@ def _project_chunk(px, py, pz, bx, by, bz, i0, j0, length, entry, springs, pull,
     _move(pz, bz, i0, j0, length, springs.mobility, pull)
 
 
-@device
+@bare
 def _project_loose(px, py, pz, bx, by, bz, springs, multipliers, least):
     """Springs in no run, one after the other."""
     loose = springs.loose
@@ -111,7 +111,7 @@ def _project_loose(px, py, pz, bx, by, bz, springs, multipliers, least):
         pz[j] -= w[j] * (g * dz)
 
 
-@device
+@bare
 def _project_runs(px, py, pz, bx, by, bz, springs, pull, multipliers, least):
     """One sweep of XPBD [Macklin 2016, eq. 18] over all springs."""
     runs = springs.runs
@@ -126,7 +126,7 @@ def _project_runs(px, py, pz, bx, by, bz, springs, pull, multipliers, least):
     _project_loose(px, py, pz, bx, by, bz, springs, multipliers, least)
 
 
-@device
+@bare
 def _load(x, v, space, springs, motion, kept, relative):
     """The state into slots, and the way of the first substep."""
     slot = springs.slot
@@ -148,7 +148,7 @@ def _load(x, v, space, springs, motion, kept, relative):
                 space.p[c, s] = x[i, c] + way
 
 
-@device
+@bare
 def _advance(x, p, a, kept):
     """Begins the next substep along one axis: p is where the last one ended, and moves on with what damping leaves."""
     for i in range(x.shape[0]):
@@ -157,7 +157,7 @@ def _advance(x, p, a, kept):
         p[i] += way
 
 
-@device
+@bare
 def _advance_relative(x, p, carry, a, lost):
     """The same where p is relative to x; what rounding would take from x waits for the next substep."""
     for i in range(x.shape[0]):
@@ -168,7 +168,7 @@ def _advance_relative(x, p, carry, a, lost):
         p[i] += a[i] - lost * p[i]  # kept is too near 1 for single precision
 
 
-@device
+@bare
 def _store(x, v, space, springs, dt, relative):
     """The slots into the state: where the last substep ended, and its velocity."""
     for i in range(x.shape[0]):
@@ -188,7 +188,7 @@ def _store(x, v, space, springs, dt, relative):
                 x[i, c] = space.p[c, s]
 
 
-@device
+@bare
 def _hold_grips(space, springs, grips, dt, time, relative):
     """`integrate.hold_grips` on slots."""
     for n in range(grips.vertices.shape[0]):
@@ -214,7 +214,7 @@ def _hold_grips(space, springs, grips, dt, time, relative):
             space.p[c, s] += w * grips.multipliers[n, c]
 
 
-@device
+@bare
 def _keep_above_ground(space, springs, radii, ground, relative):
     """`integrate.keep_above_ground` on slots."""
     p = space.p
@@ -238,7 +238,7 @@ def _keep_above_ground(space, springs, radii, ground, relative):
             p[2, s] = bz + keep * dz
 
 
-@device
+@bare
 def _sweep(space, springs, base_x, base_y, base_z, single):
     px = space.p[0]
     py = space.p[1]
@@ -250,7 +250,7 @@ def _sweep(space, springs, base_x, base_y, base_z, single):
         _project_runs(px, py, pz, base_x, base_y, base_z, springs, space.pull, space.multipliers, least)
 
 
-@device
+@bare
 def project_in_runs(p, springs, space, once):
     """One sweep over all springs for positions p (V, 3) that other constraints change too; `once` if it is the substep's only
     one, else space.multipliers go on."""
@@ -266,7 +266,7 @@ def project_in_runs(p, springs, space, once):
             p[i, c] = space.p[c, s]
 
 
-@device
+@bare
 def _substep_sweeps(space, springs, base_x, base_y, base_z, radii, motion, ground, grips, substep, relative):
     """All sweeps of a substep."""
     if motion.sweeps > 1:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from numpy.typing import NDArray
 
-from clothgym._jit import device
+from clothgym._jit import bare
 from clothgym.kernels.bending import NO_HINGES, NO_QUADRATIC, HingeArrays, QuadraticArrays
 from clothgym.kernels.membrane import NO_MEMBRANE, MembraneArrays
 
@@ -30,7 +30,7 @@ class ClothArrays(NamedTuple):
     has_quadratic: bool | None = None
 
 
-@device
+@bare
 def add_spring_forces(x, cloth, f):
     """Adds -k (d - l0 d/|d|) to both ends [Vassilev 2001, eq. 2]; f (V, 3) [N]."""
     ends = cloth.spring_ends
@@ -52,7 +52,7 @@ def add_spring_forces(x, cloth, f):
         f[j, 2] -= g * dz
 
 
-@device
+@bare
 def project_springs(p, cloth, dt, multipliers):
     """One Gauss-Seidel sweep of XPBD [Macklin 2016, eq. 18] with compliance 1/k; multipliers (S,) [N s^2]."""
     ends = cloth.spring_ends

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from clothgym._jit import device
+from clothgym._jit import bare
 
 
-@device
+@bare
 def modify_velocities(x, v, cloth, threshold, relative):
     """Stops springs longer than (1 + threshold) l0 from stretching on; v (V, 3) is changed in place.
 

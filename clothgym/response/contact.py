@@ -162,7 +162,7 @@ class Candidates:
         """Whether a vertex is further than its slack from start + share travel, so that pairs may be missing."""
         if self.flat and self.sheets is not None:
             return not self.sheets.stays(x, share)
-        return proximity.largest_deviation(x, self.start, self.travel, share, self.slack) > 0.0
+        return bool(proximity.strays_from(x, self.start, self.travel, share, self.slack))
 
 
 def watched_pairs(capacity: int, vertex_count: int) -> Watched:

@@ -12,6 +12,7 @@ import os
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +94,7 @@ class Body:
     def at(self, time: float) -> FloatArray:
         """(V, 3) where the vertices are at a time [m]."""
         vertices: FloatArray = self.mesh.vertices
-        return vertices if self.motion is None else self.motion.vertices(vertices, time)
+        return vertices if self.motion is None else _moved(self, time)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values without the notes; floats survive exactly."""
@@ -118,6 +119,13 @@ class Body:
         mesh = values["vertices"], values["faces"]
         motion = motions.from_json(values.get("motion"))
         return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs, motion=motion)
+
+
+@lru_cache(maxsize=8)
+def _moved(body: Body, time: float) -> FloatArray:
+    """A body's vertices, read-only: where one step ends the next begins, and what looks at a step asks for that place again."""
+    assert body.motion is not None
+    return read_only(body.motion.vertices(body.mesh.vertices, time))
 
 
 def named(bodies: Sequence[Body]) -> list[tuple[str, Body]]:

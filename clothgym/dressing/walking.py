@@ -13,7 +13,6 @@ import numpy as np
 
 from clothgym import rig
 from clothgym.arrays import check_number
-from clothgym.body import Body
 from clothgym.detection.openings import threading
 from clothgym.dressing.draping import Draped
 from clothgym.dressing.worn import expected_limbs
@@ -83,7 +82,8 @@ def walk(
         deepest = max(deepest, float(depths.max()))
         if on_frame is not None:
             on_frame(simulation)
-    limbs = rig.load(worn[0].body.name).limbs(Walk(worn[0].body.name, pose, stride=STRIDE).rotations(simulation.time))
+    (moving,) = scene.bodies
+    limbs = rig.load(moving.name).limbs(moving.motion.rotations(simulation.time))  # type: ignore[union-attr]
     x, found = np.array(simulation.positions), []
     for garment, (_, vertices, _) in zip(worn, simulation.cloth_ranges):
         expected = expected_limbs(garment.garment, garment.body)
@@ -124,15 +124,7 @@ def walking_scene(garments: Sequence[Draped], seconds: float = 6.0, pose: str = 
         loose = dataclasses.replace(cloth.material, damping=_DAMPING)  # type: ignore[type-var]
         mesh = Mesh(garment.positions, garment.faces, garment.garment.quads)
         cloths.append(dataclasses.replace(cloth, mesh=mesh, material=loose))
-    moving = Body(
-        (body.mesh.vertices, body.mesh.faces),
-        body.name,
-        body.friction,
-        body.slide,
-        body.rebound,
-        body.limbs,
-        motion=Walk(body.name, pose, stride=STRIDE),
-    )
+    moving = dataclasses.replace(body, motion=Walk(body.name, pose, stride=STRIDE))
     return dataclasses.replace(
         first,
         cloths=tuple(cloths),

@@ -125,7 +125,7 @@ def compiled_count() -> tuple[int, int]:
 
 
 class _Lanes(types.Type):
-    """Sixteen float32, int32 or truth values that a kernel holds in vector registers.
+    """Sixteen float32, float64, int32 or truth values that a kernel holds in vector registers.
 
     A loop over 16 numbers becomes vector instructions too, but not the bit mask of its outcomes, and no vector stays in its
     register from one such loop to the next. Arithmetic is that of the loop, to the last bit.
@@ -137,10 +137,12 @@ class _Lanes(types.Type):
 
 
 _LANES = 16
-_FLOATS, _INTS, _TRUTHS = _Lanes(types.float32), _Lanes(types.int32), _Lanes(types.boolean)
-_KIND = {types.float32: _FLOATS, types.int32: _INTS}
+_FLOATS, _DOUBLES, _INTS = _Lanes(types.float32), _Lanes(types.float64), _Lanes(types.int32)
+_TRUTHS = _Lanes(types.boolean)
+_KIND = {types.float32: _FLOATS, types.float64: _DOUBLES, types.int32: _INTS}
 _VECTOR = {
     _FLOATS: ir.VectorType(ir.FloatType(), _LANES),
+    _DOUBLES: ir.VectorType(ir.DoubleType(), _LANES),
     _INTS: ir.VectorType(ir.IntType(32), _LANES),
     _TRUTHS: ir.VectorType(ir.IntType(1), _LANES),
 }
@@ -152,21 +154,51 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, _VECTOR[fe_type])
 
 
+def _first_lane(context: Any, builder: Any, array: Any, value: Any, ids: list[Any]) -> Any:
+    """Pointer to 16 numbers of an array that begin at these ids."""
+    view = context.make_array(array)(context, builder, value)
+    first = cgutils.get_item_pointer(context, builder, array, view, ids, wraparound=False)
+    return builder.bitcast(first, _VECTOR[_KIND[array.dtype]].as_pointer())
+
+
 @intrinsic
 def lanes(typingctx: Any, array: Any, block: Any, row: Any) -> Any:
-    """The 16 numbers array[block, row, :] of a C-contiguous array of float32 or int32; ids must not be negative."""
+    """The 16 numbers array[block, row, :] of a C-contiguous array of float32, float64 or int32; ids must not be negative."""
     kind = _KIND[array.dtype]
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        view = context.make_array(signature.args[0])(context, builder, values[0])
         ids = [context.cast(builder, v, t, types.intp) for v, t in zip(values[1:], signature.args[1:], strict=True)]
         ids.append(context.get_constant(types.intp, 0))
-        first = cgutils.get_item_pointer(context, builder, signature.args[0], view, ids, wraparound=False)
-        loaded = builder.load(builder.bitcast(first, _VECTOR[kind].as_pointer()))
+        loaded = builder.load(_first_lane(context, builder, signature.args[0], values[0], ids))
         loaded.align = 4
         return loaded
 
     return kind(array, block, row), generate
+
+
+@intrinsic
+def lanes_from(typingctx: Any, array: Any, first: Any) -> Any:
+    """The 16 numbers array[first : first + 16] of a contiguous row."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        at = [context.cast(builder, values[1], signature.args[1], types.intp)]
+        loaded = builder.load(_first_lane(context, builder, signature.args[0], values[0], at))
+        loaded.align = 4
+        return loaded
+
+    return _KIND[array.dtype](array, first), generate
+
+
+@intrinsic
+def put_lanes(typingctx: Any, array: Any, first: Any, vector: Any) -> Any:
+    """array[first : first + 16] = vector, in a contiguous row of numbers of its kind."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        at = [context.cast(builder, values[1], signature.args[1], types.intp)]
+        builder.store(values[2], _first_lane(context, builder, signature.args[0], values[0], at), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, first, vector), generate
 
 
 def _of_two(instruction: Callable[..., Any], answer: _Lanes | None = None) -> Callable[..., Any]:
@@ -196,7 +228,7 @@ def _of_two(instruction: Callable[..., Any], answer: _Lanes | None = None) -> Ca
 
 def _compared(sign: str) -> Callable[..., Any]:
     def instruction(builder: Any, kind: Any, a: Any, b: Any) -> Any:
-        return (builder.fcmp_ordered if kind is _FLOATS else builder.icmp_signed)(sign, a, b)
+        return (builder.icmp_signed if kind is _INTS else builder.fcmp_ordered)(sign, a, b)
 
     return instruction
 
@@ -233,6 +265,38 @@ def _teach(symbol: Callable[..., Any], function: Callable[..., Any]) -> None:
 
 for _symbol, _function in _OPERATORS.items():
     _teach(_symbol, _function)
+
+
+def _folded(instruction: Callable[..., Any]) -> Callable[..., Any]:
+    """A number from a vector, whose halves are put together again and again."""
+
+    @intrinsic
+    def function(typingctx: Any, vector: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            found, count = values[0], _LANES
+            while count > 1:
+                count //= 2
+                nothing = ir.Constant(found.type, ir.Undefined)
+                halves = [
+                    builder.shuffle_vector(
+                        found, nothing, ir.Constant(ir.VectorType(ir.IntType(32), count), list(range(at, at + count)))
+                    )
+                    for at in (0, count)
+                ]
+                found = instruction(builder, signature.args[0], *halves)
+            return builder.extract_element(found, ir.Constant(ir.IntType(32), 0))
+
+        return vector.number(vector), generate
+
+    return function
+
+
+lowest = _folded(_chosen("<"))
+"""The lowest of all lanes."""
+highest = _folded(_chosen(">"))
+"""The highest of all lanes."""
+total = _folded(lambda builder, kind, a, b: builder.fadd(a, b))
+"""The sum of all lanes."""
 
 
 @intrinsic

@@ -175,12 +175,12 @@ def xpbd(x, v, ends, rests, stiffness, w, motion, substeps, grips, radii, ground
     dt = motion.dt
     kept = 1.0 / (1.0 + motion.damping * dt)
     fall = np.array([motion.gravity + (motion.external[i] if len(motion.external) else 0.0) for i in range(len(x))])
-    fall = dt * dt * fall * (w > 0)[:, None]
-    p = x + np.where((w > 0)[:, None], kept * dt * v + fall, 0.0)
+    fall = dt * fall * (w > 0)[:, None]
+    p = x + np.where((w > 0)[:, None], dt * (kept * v + fall), 0.0)
     begin = x.copy()
     for n in range(substeps):
         if n > 0:
-            way = kept * (p - begin) + fall
+            way = dt * (kept * ((p - begin) * (1.0 / dt)) + fall)
             begin = p.copy()
             p = p + way
         multipliers = np.zeros(len(ends))
@@ -219,7 +219,7 @@ def xpbd(x, v, ends, rests, stiffness, w, motion, substeps, grips, radii, ground
                         p[i, 0] = begin[i, 0] + keep * slide[0]
                         p[i, 2] = begin[i, 2] + keep * slide[2]
         grips.forces[:] += grips.multipliers / (dt * dt)
-    return p, (p - begin) / dt
+    return p, (p - begin) * (1.0 / dt)
 
 
 def runge_kutta(x, v, acceleration, dt):

@@ -20,6 +20,17 @@ def sheet(**changes):
     return dataclasses.replace(scene, cloths=(dataclasses.replace(cloth, material=material),), self_collision=True)
 
 
+def wide(**changes):
+    """Enough cells for the springs to stand in runs."""
+    scene = cg.scenes.make("hanging_sheet", resolution=16)
+    return dataclasses.replace(scene, self_collision=True, **changes)
+
+
+def thrown():
+    """A wide sheet that falls on the ground and crumples there."""
+    return cg.scenes.make("drop", resolution=16, height=0.1)
+
+
 def held():
     return dataclasses.replace(sheet(), grips=(cg.Grip(radius=0.15),), wind=(3.0, 1.0, 2.0))
 
@@ -41,6 +52,10 @@ EULER = dataclasses.replace(cg.Fidelity(), integrator="symplectic_euler", subste
 XPBD = cg.Fidelity(map_size=60)
 RUNS = {
     "sheet": (sheet, XPBD, 30, 30),
+    "wide": (wide, XPBD, 30, 30),
+    "wide, wind and grippers": (lambda: wide(grips=(cg.Grip(radius=0.15),), wind=(3.0, 1.0, 2.0)), XPBD, 25, 20),
+    "wide, thrown": (thrown, XPBD, 25, 3),
+    "wide, three sweeps": (wide, dataclasses.replace(XPBD, substeps=12, sweeps=3), 20, 15),
     "limp": (lambda: sheet(stretch=100.0, shear=10.0, thickness=0.02), XPBD, 30, 20),
     "long steps": (lambda: dataclasses.replace(sheet(stretch=300.0), step=0.05), XPBD, 15, 10),
     "euler": (sheet, EULER, 6, 6),
@@ -62,7 +77,7 @@ def test_the_check_changes_no_bit(name):
     make, fidelity, steps, least = RUNS[name]
     one, two = (cg.Simulation(make(), dataclasses.replace(fidelity, flat_check=flag)) for flag in (True, False))
     for sim in (one, two):
-        if name == "wind and grippers":
+        if "grippers" in name:
             sim.place_grip(0, sim.positions[-1])
             sim.grasp(0)
             sim.move_grip(0, (0.1, 0.3, -0.2))
@@ -76,9 +91,93 @@ def test_the_check_changes_no_bit(name):
     assert "decided_flat" not in two.metrics()["work"]
 
 
-def test_runs_meet_every_way_out():
+@pytest.mark.parametrize("name", ["wide", "wide, wind and grippers", "wide, three sweeps"])
+def test_a_sheet_that_cannot_touch_itself_moves_like_one_that_may_not(name):
+    make, fidelity, steps, _ = RUNS[name]
+    one = cg.Simulation(make(), fidelity)
+    effort = {"substeps": one.pipeline.substeps, "sweeps": one.pipeline.stages[-1].step.sweeps}
+    two = cg.Simulation(dataclasses.replace(make(), self_collision=False), dataclasses.replace(fidelity, **effort))
+    for sim in (one, two):
+        if "grippers" in name:
+            sim.place_grip(0, sim.positions[-1])
+            sim.grasp(0)
+            sim.move_grip(0, (0.1, 0.3, -0.2))
+    for _ in range(steps):
+        decided = one.metrics()["work"].get("decided_flat", 0)
+        one.step()
+        two.step()
+        if one.metrics()["work"].get("decided_flat", 0) == decided:
+            break
+        assert (one.positions == two.positions).all() and (one.velocities == two.velocities).all()
+        assert (one.grip_forces == two.grip_forces).all()
+    assert one.step_count > 10
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_slots_are_left_where_a_look_at_every_substep_leaves_them(seed):
+    """Which substep is the first to leave the course, and the state before it, do not depend on how rarely one looks."""
+    from clothgym.kernels import height_field
+
+    rng = np.random.default_rng(seed)
+    sim = cg.Simulation(wide(grips=(cg.Grip(radius=0.15),), ground=-0.01), XPBD)
+    sim.place_grip(0, sim.positions[40])
+    sim.grasp(0)
+    sim.move_grip(0, (0.1, 0.3, -0.2))
+    stage, frame = sim.pipeline.stages[-1], sim._frame
+    frame.set_grips()
+    step, found = stage.step, stage.candidates
+    motion, count = step.motion(frame), step.substeps
+    start = sim.positions + np.array([0.0, 0.005, 0.0])
+    ended = []
+    for wild in np.geomspace(0.01, 30.0, 24):
+        velocities = rng.normal(0.0, wild, start.shape) + rng.normal(0.0, 3.0, 3)
+        first = int(rng.integers(0, count // 2))
+        if not found.settle(start, step.dt * count * velocities * rng.uniform(0.0, 1.0), count):
+            continue
+        results = []
+        for slots in (True, False):
+            x, v = start.copy(), velocities.copy()
+            frame.set_grips()
+            if slots:
+                done = step.integrator.runs.step_along(
+                    x, v, step.radii, motion, step.ground, frame.grips, first, count, stage.course, first, count
+                )
+            else:
+                done = height_field.xpbd_substeps(
+                    x, v, frame.predicted, stage.kept, sim.model.arrays, step.radii, motion, step.ground, frame.grips,
+                    step.integrator.multipliers, first, count, first, count, found.sheets.sheets, found.sheets.tube,
+                    step.integrator.spring_runs,
+                )  # fmt: skip
+            results.append((done, x, v, frame.grips.forces.copy()))
+        (done, x, v, forces), (expected, *others) = results
+        assert done == expected
+        # a substep that was made leaves pinned vertices without speed
+        assert (x == others[0]).all() and (v == others[1]).all() and (forces == others[2]).all()
+        ended.append((done - first) / (count - first))
+    assert min(ended) < 0.2 and max(ended) == 1.0 and any(0.2 < share < 1.0 for share in ended)
+
+
+def test_a_vertex_that_is_nowhere_ends_the_course():
+    sim = cg.Simulation(wide(), XPBD)
+    stage, frame = sim.pipeline.stages[-1], sim._frame
+    step, found = stage.step, stage.candidates
+    x, v = sim.positions.copy(), sim.velocities.copy()
+    assert found.settle(x, v, step.substeps)
+    for bad in (np.nan, np.inf, -np.inf):
+        for where in (20, 100, len(x) - 1):
+            x, v = sim.positions.copy(), sim.velocities.copy()
+            v[where, 0] = bad
+            done = step.integrator.runs.step_along(
+                x, v, step.radii, step.motion(frame), step.ground, frame.grips, 0, step.substeps, stage.course, 0,
+                step.substeps,
+            )  # fmt: skip
+            assert done < step.substeps
+
+
+@pytest.mark.parametrize("name", ["drop", "wide, thrown"])
+def test_runs_meet_every_way_out(name):
     """Contacts after a decided step, a tube that is left within a step, and a step that is decided as a whole."""
-    sim = cg.Simulation(RUNS["drop"][0](), XPBD)
+    sim = cg.Simulation(RUNS[name][0](), XPBD)
     left = whole = searched = 0
     for _ in range(25):
         before = dict(sim.metrics()["work"])

@@ -141,7 +141,7 @@ def steps(model, x, v, dtype="float64", substeps=5, sweeps=1, ground=-np.inf, ex
     x, v, grips = x.copy(), v.copy(), grips_for(model)
     radii = 0.5 * model.thickness
     for _ in range(count):
-        runs.step(x, v, radii, motion, Ground(ground, 0.3), grips, substeps)
+        runs.step(x, v, radii, motion, Ground(ground, 0.3), grips, 0, substeps)
     return x, v, layout, motion, grips, runs
 
 
@@ -208,9 +208,9 @@ def test_no_memory_between_steps(dtype):
     first = steps(model, x, v, dtype, count=1)
     runs, motion = first[5], first[3]
     runs.step(np.random.default_rng(0).normal(size=x.shape), v.copy(), 0.5 * model.thickness, motion,
-              Ground(-np.inf, 0.3), grips_for(model), 5)  # fmt: skip
+              Ground(-np.inf, 0.3), grips_for(model), 0, 5)  # fmt: skip
     again, velocities = x.copy(), v.copy()
-    runs.step(again, velocities, 0.5 * model.thickness, motion, Ground(-np.inf, 0.3), grips_for(model), 5)
+    runs.step(again, velocities, 0.5 * model.thickness, motion, Ground(-np.inf, 0.3), grips_for(model), 0, 5)
     assert (again == first[0]).all() and (velocities == first[1]).all()
 
 

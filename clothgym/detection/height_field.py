@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels import height_field
 from clothgym.kernels.height_field import Shapes, Sheets, Tube
+from clothgym.kernels.spring_runs import Course
 from clothgym.mesh import Surface
 
 Ids = NDArray[np.int64]
@@ -32,6 +33,7 @@ class HeightFields:
     """
 
     def __init__(self, surface: Surface, reach: FloatArray) -> None:
+        self._course: Course | None = None
         known = _components(surface, reach)
         self.possible = known is not None
         if known is None:
@@ -42,6 +44,21 @@ class HeightFields:
             np.zeros((len(reach), 4)), np.zeros((count, 3, 3)), np.zeros(count), np.zeros((count, 6)), np.zeros(3)
         )
 
+    def course(self, slot: IntArray, slot_count: int) -> Course | None:
+        """What is decided from now on, in slots; None if there are several components.
+
+        Args:
+            slot: (V,) int32 slot of each vertex.
+            slot_count: of them, a multiple of `spring_runs.LANES`.
+        """
+        if not self.possible or len(self.sheets.reach) > 1:
+            return None
+        ways = np.zeros((5, slot_count))
+        ways[4] = np.inf
+        ways[4, slot[self.sheets.members]] = 0.0
+        self._slot, self._course = slot, Course(ways, self.tube.axes, self.tube.slack)
+        return self._course
+
     @property
     def slack(self) -> FloatArray:
         return self.tube.slack
@@ -49,7 +66,10 @@ class HeightFields:
     def decide(self, x: FloatArray, travel: FloatArray) -> bool:
         """Whether no primitives without a common vertex come within reach of each other on the way from x along travel (V, 3)
         [m], as long as `stays` confirms it. No proves nothing."""
-        return self.possible and bool(height_field.decide(x, travel, self.sheets, self.shapes, self.tube))
+        decided = self.possible and bool(height_field.decide(x, travel, self.sheets, self.shapes, self.tube))
+        if decided and self._course is not None:
+            height_field.chart(self.tube, self._slot, self._course.ways)
+        return decided
 
     def stays(self, x: FloatArray, share: float) -> bool:
         """Whether x (V, 3) [m], `share` of the way, is near enough to what was expected for the decision to hold."""

@@ -242,6 +242,15 @@ def _widen(x, u, share, drifted, sheets, tube):
 
 
 @kernel
+def chart(tube, slot, ways):
+    """Where vertices are expected, into slots: ways (5, M) of a `spring_runs.Course`."""
+    for i in range(slot.shape[0]):
+        s = np.uint64(slot[i])
+        for k in range(4):
+            ways[k, s] = tube.ways[i, k]
+
+
+@kernel
 def decide(x, u, sheets, shapes, tube):
     """Whether no primitives without a common vertex can come within reach while vertices go from x by u (V, 3) [m].
 

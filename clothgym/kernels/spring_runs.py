@@ -15,10 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import bare, kernel
+from clothgym._jit import bare, highest, kernel, lanes_from, lower, lowest, put_lanes, total, upper
+from clothgym.kernels.integrate import add_grip_forces
 
 CHUNK = 1024
 """Springs that are worked on at a time: their corrections fit into the nearest cache."""
+
+LANES = 16
+"""The number of slots is a multiple of this, so that no loop over all of them has a remainder."""
 
 
 class SpringRuns(NamedTuple):
@@ -39,10 +43,18 @@ class RunSpace(NamedTuple):
     x: NDArray  # (3, M) positions where the substep began [m]
     p: NDArray  # (3, M) positions, or in single precision the way since x [m]
     carry: NDArray  # (3, M) what x is short of [m]; (3, 0) in double precision
-    a: NDArray  # (3, M) way that external acceleration adds in a substep [m]; 0 in slots that do not move
+    a: NDArray  # (3, M) what external acceleration adds in a substep: velocity [m/s], in single precision way [m]
     pull: NDArray  # (CHUNK,) corrections per length
     multipliers: NDArray  # (N,) [N s^2] of the running substep
     constants: NDArray  # (2,) share of the way that damping takes, least length of a spring [m]
+
+
+class Course(NamedTuple):
+    """What was decided for a sheet (`height_field.Tube`), in slots."""
+
+    ways: NDArray  # (5, M) those of the tube; last: 0, or infinity where there is no vertex
+    axes: NDArray  # (1, 3, 3)
+    slack: NDArray  # (1,) [m]
 
 
 @bare
@@ -138,23 +150,38 @@ def _load(x, v, space, springs, motion, kept, relative):
             g = motion.gravity[c]
             if wind:
                 g += motion.external[i, c]
-            space.a[c, s] = motion.dt * motion.dt * g if moves else 0.0
+            added = motion.dt * g if moves else 0.0
+            way = motion.dt * (kept * v[i, c] + added) if moves else 0.0
             space.x[c, s] = x[i, c]
-            way = kept * motion.dt * v[i, c] + motion.dt * motion.dt * g if moves else 0.0
             if relative:
+                space.a[c, s] = motion.dt * added
                 space.carry[c, s] = x[i, c] - space.x[c, s]
                 space.p[c, s] = way
             else:
+                space.a[c, s] = added
                 space.p[c, s] = x[i, c] + way
 
 
 @bare
-def _advance(x, p, a, kept):
-    """Begins the next substep along one axis: p is where the last one ended, and moves on with what damping leaves."""
-    for i in range(x.shape[0]):
-        way = kept * (p[i] - x[i]) + a[i]
-        x[i] = p[i]
-        p[i] += way
+def _advance(x, p, a, kept, dt, inverse):
+    """Begins the next substep along one axis: p is where the last one ended, and moves on with what damping leaves. Returns
+    by how much the moves of the last substep differ [m], slots without a vertex included.
+
+    To the last bit what `integrate.finish_substep` and `integrate.accelerate` do: that a sheet is worked on in slots must not
+    show.
+    """
+    zero = lanes_from(x, 0) * 0.0
+    low = upper(zero, math.inf)
+    high = lower(zero, -math.inf)
+    for n in range(np.uint64(0), np.uint64(x.shape[0]), np.uint64(LANES)):
+        begin = lanes_from(x, n)
+        end = lanes_from(p, n)
+        move = end - begin
+        low = lower(move, low)
+        high = upper(move, high)
+        put_lanes(x, n, end)
+        put_lanes(p, n, end + dt * (kept * (move * inverse) + lanes_from(a, n)))
+    return highest(high) - lowest(low)
 
 
 @bare
@@ -171,6 +198,7 @@ def _advance_relative(x, p, carry, a, lost):
 @bare
 def _store(x, v, space, springs, dt, relative):
     """The slots into the state: where the last substep ended, and its velocity."""
+    inverse = 1.0 / dt
     for i in range(x.shape[0]):
         s = springs.slot[i]
         if springs.mobility[s] == 0.0:
@@ -184,7 +212,7 @@ def _store(x, v, space, springs, dt, relative):
                 begin = np.float64(space.x[c, s]) + space.carry[c, s]
                 x[i, c] = begin + space.p[c, s]
             else:
-                v[i, c] = (space.p[c, s] - space.x[c, s]) / dt
+                v[i, c] = (space.p[c, s] - space.x[c, s]) * inverse
                 x[i, c] = space.p[c, s]
 
 
@@ -277,34 +305,123 @@ def _substep_sweeps(space, springs, base_x, base_y, base_z, radii, motion, groun
         _hold_grips(space, springs, grips, motion.dt, (substep + 1) * motion.dt, relative)
         if ground.height > -math.inf:
             _keep_above_ground(space, springs, radii, ground, relative)
-    for g in range(grips.vertices.shape[0]):
-        for c in range(3):
-            grips.forces[g, c] += grips.multipliers[g, c] / (motion.dt * motion.dt)
+
+
+@bare
+def _strayed(x, y, z, share, course):
+    """How far vertices are at most from where they were expected [m], as `height_field.stays` has it; NaN if one is nowhere."""
+    expected_a = course.ways[0]
+    expected_b = course.ways[1]
+    ahead_a = course.ways[2]
+    ahead_b = course.ways[3]
+    nobody = course.ways[4]
+    ax = course.axes[0, 1, 0]
+    ay = course.axes[0, 1, 1]
+    az = course.axes[0, 1, 2]
+    bx = course.axes[0, 2, 0]
+    by = course.axes[0, 2, 1]
+    bz = course.axes[0, 2, 2]
+    lost = lanes_from(x, 0) * 0.0
+    low_a = low_b = upper(lost, math.inf)
+    high_a = high_b = lower(lost, -math.inf)
+    for n in range(np.uint64(0), np.uint64(x.shape[0]), np.uint64(LANES)):
+        px = lanes_from(x, n)
+        py = lanes_from(y, n)
+        pz = lanes_from(z, n)
+        a = ax * px + ay * py + az * pz - (lanes_from(expected_a, n) + share * lanes_from(ahead_a, n))
+        b = bx * px + by * py + bz * pz - (lanes_from(expected_b, n) + share * lanes_from(ahead_b, n))
+        none = lanes_from(nobody, n)
+        low_a = lower(a + none, low_a)
+        low_b = lower(b + none, low_b)
+        high_a = upper(a - none, high_a)
+        high_b = upper(b - none, high_b)
+        lost = lost + (a - a) + (b - b)
+    wide = highest(high_a) - lowest(low_a)
+    deep = highest(high_b) - lowest(low_b)
+    return 0.5 * math.sqrt(wide * wide + deep * deep) + total(lost)
+
+
+@bare
+def _pace(course, horizon):
+    """By how much the ways that are expected in a substep differ [m] along both axes."""
+    zero = lanes_from(course.ways[2], 0) * 0.0
+    low_a = low_b = upper(zero, math.inf)
+    high_a = high_b = lower(zero, -math.inf)
+    for n in range(np.uint64(0), np.uint64(course.ways.shape[1]), np.uint64(LANES)):
+        a = lanes_from(course.ways[2], n)
+        b = lanes_from(course.ways[3], n)
+        low_a = lower(a, low_a)
+        low_b = lower(b, low_b)
+        high_a = upper(a, high_a)
+        high_b = upper(b, high_b)
+    return (highest(high_a) - lowest(low_a)) / horizon, (highest(high_b) - lowest(low_b)) / horizon
 
 
 @kernel
-def xpbd_substeps_in_runs(x, v, space, springs, radii, motion, ground, grips, count):
-    """`integrate.xpbd_substeps` for springs in runs, in double precision: all substeps of a step."""
+def xpbd_substeps_in_runs(x, v, space, springs, radii, motion, ground, grips, first, last):
+    """`integrate.xpbd_substeps` for springs in runs, in double precision, from substep `first` up to `last`."""
     kept = 1.0 / (1.0 + motion.damping * motion.dt)
+    inverse = 1.0 / motion.dt
     _load(x, v, space, springs, motion, kept, False)
-    for n in range(count):
-        if n > 0:
+    for n in range(first, last):
+        if n > first:
             for axis in range(3):
-                _advance(space.x[axis], space.p[axis], space.a[axis], kept)
+                _advance(space.x[axis], space.p[axis], space.a[axis], kept, motion.dt, inverse)
         _substep_sweeps(space, springs, None, None, None, radii, motion, ground, grips, n, False)
+        add_grip_forces(grips, motion.dt)
     _store(x, v, space, springs, motion.dt, False)
 
 
 @kernel
-def xpbd_substeps_in_single_runs(x, v, space, springs, radii, motion, ground, grips, count):
+def xpbd_substeps_along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon):
+    """The same as long as a sheet keeps to its course: a motion that began at substep `base` and takes `horizon` of them.
+
+    Returns `last`, or the first substep after which the sheet may have left the course; the state is then left alone.
+
+    How far vertices have strayed is known from time to time. From one substep to the next it grows by no more than moves
+    differ from those expected, and they differ by no more than the box of all moves is wide in the plane: as long as that is
+    below the slack, no vertex has to be looked at.
+    """
+    kept = 1.0 / (1.0 + motion.damping * motion.dt)
+    inverse = 1.0 / motion.dt
+    slack = course.slack[0]
+    axes = course.axes
+    pace_a, pace_b = _pace(course, horizon)
+    _load(x, v, space, springs, motion, kept, False)
+    strayed = _strayed(space.x[0], space.x[1], space.x[2], (first - base) / horizon, course)
+    for n in range(first, last):
+        if n > first:
+            wide = pace_a
+            deep = pace_b
+            for axis in range(3):
+                moved = _advance(space.x[axis], space.p[axis], space.a[axis], kept, motion.dt, inverse)
+                wide += abs(axes[0, 1, axis]) * moved
+                deep += abs(axes[0, 2, axis]) * moved
+            # a box that grows on either side grows its half diagonal by no more than half its growth's
+            strayed += (0.5 + 1e-9) * math.sqrt(wide * wide + deep * deep)
+            if not strayed <= slack:
+                strayed = _strayed(space.x[0], space.x[1], space.x[2], (n - base) / horizon, course)
+                if not strayed <= slack:
+                    return n - 1
+        _substep_sweeps(space, springs, None, None, None, radii, motion, ground, grips, n, False)
+        add_grip_forces(grips, motion.dt)
+    if not _strayed(space.p[0], space.p[1], space.p[2], (last - base) / horizon, course) <= slack:
+        return last - 1
+    _store(x, v, space, springs, motion.dt, False)
+    return last
+
+
+@kernel
+def xpbd_substeps_in_single_runs(x, v, space, springs, radii, motion, ground, grips, first, last):
     """The same in single precision; positions of the state keep double precision."""
     kept = 1.0 / (1.0 + motion.damping * motion.dt)
     space.constants[0] = 1.0 - kept
     lost = space.constants[0]
     _load(x, v, space, springs, motion, kept, True)
-    for n in range(count):
-        if n > 0:
+    for n in range(first, last):
+        if n > first:
             for axis in range(3):
                 _advance_relative(space.x[axis], space.p[axis], space.carry[axis], space.a[axis], lost)
         _substep_sweeps(space, springs, space.x[0], space.x[1], space.x[2], radii, motion, ground, grips, n, True)
+        add_grip_forces(grips, motion.dt)
     _store(x, v, space, springs, motion.dt, True)

@@ -46,7 +46,9 @@ class ContactSubsteps:
         self.rounds = fidelity.repair_rounds
         self.short = short_horizon(step.substeps)
         in_sweeps = step.integrator.in_sweeps
-        self.flat_substeps = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
+        self.flat_substeps: Any = height_field.xpbd_substeps if candidates.sheets and in_sweeps else None
+        runs = step.integrator.runs if self.flat_substeps else None
+        self.course = candidates.sheets.course(runs.arrays.slot, len(runs.arrays.mobility)) if runs else None
         able = self.in_one_kernel and in_sweeps and not fidelity.continuous
         self.together: Any = contact_substeps if able else None
         candidates.ahead = candidates.most_ahead = _AHEAD if self.flat_substeps else 1
@@ -85,6 +87,21 @@ class ContactSubsteps:
             frame.state.velocities, model.inverse_masses, contacts.arrays, contacts.active, self.step.dt
         )
 
+    def _along(self, frame: Frame, motion: Motion, first: int, last: int, base: int, horizon: int) -> int:
+        """Substeps `first` up to `last` while sheets keep to a motion that was decided at substep `base` for `horizon` of them;
+        returns the one that is left to do."""
+        s, state, sheets = self.step, frame.state, self.candidates.sheets
+        if self.course is not None:
+            return s.integrator.runs.step_along(
+                state.positions, state.velocities, s.radii, motion, s.ground, frame.grips, first, last, self.course,
+                base, horizon,
+            )  # fmt: skip
+        return self.flat_substeps(
+            state.positions, state.velocities, frame.predicted, self.kept, frame.model.arrays, s.radii, motion, s.ground,
+            frame.grips, s.integrator.multipliers, first, last, base, horizon, sheets.sheets, sheets.tube,
+            s.integrator.spring_runs,
+        )  # fmt: skip
+
     def _flat(self, frame: Frame, motion: Motion) -> int:
         """Substeps in one kernel as long as sheets stay height fields that touch nothing; how many were made."""
         s, state, found = self.step, frame.state, self.candidates
@@ -93,11 +110,7 @@ class ContactSubsteps:
         frame.count("contacts", 0)
         done, base, horizon = 0, -found.spent, found.horizon
         while True:
-            done = self.flat_substeps(
-                state.positions, state.velocities, frame.predicted, self.kept, frame.model.arrays, s.radii, motion, s.ground,
-                frame.grips, s.integrator.multipliers, done, min(base + horizon, s.substeps), base, horizon,
-                found.sheets.sheets, found.sheets.tube, s.integrator.spring_runs,
-            )  # fmt: skip
+            done = self._along(frame, motion, done, min(base + horizon, s.substeps), base, horizon)
             if done == s.substeps:
                 found.spent = done - base
                 return done

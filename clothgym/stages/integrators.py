@@ -41,10 +41,12 @@ class Integrator(ABC):
         in_sweeps: whether the cloth's own forces are constraints, projected in every sweep of contact, and not in p yet.
         multipliers: (C,) of those constraints [N s^2]; (0,) without.
         spring_runs: springs in runs and the space to work on them, if that is all there is in the sweeps; else None.
+        runs: `xpbd.Runs` of them, which a step without contact works on alone; else None.
     """
 
     in_sweeps = False
     spring_runs: Any = None
+    runs: Any = None
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         self.sweeps, self.remark = fidelity.sweeps, ""

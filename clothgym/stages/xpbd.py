@@ -29,7 +29,6 @@ class Xpbd(Integrator):
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         super().__init__(model, fidelity)
         scene = model.scene
-        self.runs: Runs | None = None
         alone = model.constraint_count == len(model.spring_rest)
         if alone and not scene.bodies:
             layout = spring_layout(model)
@@ -54,7 +53,7 @@ class Xpbd(Integrator):
     def run(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground) -> None:
         state = frame.state
         if self.runs is not None:
-            self.runs.step(state.positions, state.velocities, radii, motion, ground, frame.grips, self.substeps)
+            self.runs.step(state.positions, state.velocities, radii, motion, ground, frame.grips, 0, self.substeps)
             return
         integrate.xpbd_substeps(
             state.positions, state.velocities, frame.predicted, frame.model.arrays, radii, motion, ground, frame.grips,
@@ -97,7 +96,8 @@ class Runs:
 
         ends, w = model.spring_ends, model.inverse_masses
         self.layout = layout
-        slots, entries = self.layout.slot_count, self.layout.entries
+        entries, lanes = self.layout.entries, spring_runs.LANES
+        slots = -(-self.layout.slot_count // lanes) * lanes
         real = entries >= 0
         springs = entries[real]
         alpha, share, rest = np.ones(len(entries)), np.zeros(len(entries)), np.ones(len(entries))
@@ -127,8 +127,24 @@ class Runs:
             np.zeros(len(entries), dtype),
             np.array([1.0, 1e-20], dtype),
         )
+        self._kernels = spring_runs
         self._substeps = spring_runs.xpbd_substeps_in_single_runs if single else spring_runs.xpbd_substeps_in_runs
 
-    def step(self, x, v, radii, motion, ground, grips, count) -> None:  # type: ignore[no-untyped-def]
-        """`count` substeps; x, v (V, 3) are changed."""
-        self._substeps(x, v, self.space, self.arrays, radii, motion, ground, grips, count)
+    def step(self, x, v, radii, motion, ground, grips, first, last) -> None:  # type: ignore[no-untyped-def]
+        """Substeps `first` up to `last` of a step; x, v (V, 3) are changed."""
+        self._substeps(x, v, self.space, self.arrays, radii, motion, ground, grips, first, last)
+
+    def step_along(self, x, v, radii, motion, ground, grips, first, last, course, base, horizon) -> int:  # type: ignore[no-untyped-def]
+        """The same in double precision, as long as a sheet keeps to its course: a motion that began at substep `base` and takes
+        `horizon` of them. Returns the substep that was not made because it might not."""
+        forces = grips.forces.copy() if len(grips.forces) else None
+        done = self._kernels.xpbd_substeps_along(
+            x, v, self.space, self.arrays, radii, motion, ground, grips, first, last, course, base, horizon
+        )
+        if done < last:
+            # which substep leaves the course is seen when it is too late to go back: what comes before is made once more
+            if forces is not None:
+                grips.forces[:] = forces
+            if done > first:
+                self.step(x, v, radii, motion, ground, grips, first, done)
+        return int(done)

@@ -45,6 +45,20 @@ def test_misses_are_those_of_the_step():
     assert all(row["total"] > 0.0 for row in rows.values())
 
 
+def test_what_a_body_does_is_shown_with_its_speed():
+    """Sewn trousers on a walking body: frames hold both where they are, and the body's way of a step."""
+    objects, frames, simulation = mezger._falling("walking_trousers", 4)
+    (body, faces, cloth, _), trousers = objects
+    assert not cloth and trousers[2] and 700 < len(trousers[0]) < 950
+    assert len(faces) == 26_756
+    shown = list(frames)
+    for n, (positions, velocities, dt) in enumerate(shown):
+        assert (positions[0] == simulation.scene.bodies[0].at(n * dt)).all()
+        if n + 1 < len(shown):
+            assert positions[0] + dt * velocities[0] == pytest.approx(shown[n + 1][0][0], abs=1e-12)
+    assert np.abs(shown[-1][0][0] - body).max() > 1e-3
+
+
 def test_tables_of_every_kind_and_json(monkeypatch):
     def walk(configurations, steps, every):
         objects, frames = sheets(3)

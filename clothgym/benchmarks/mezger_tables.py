@@ -25,8 +25,9 @@ def tables(rows: list[Row]) -> list[Table]:
     found: list[Table] = []
     for row in rows:
         kind, result = row["parameters"]["what"], row["result"]
-        if kind == "table1":
-            found += [_paper_table(result), _walk_table(result)]
+        if kind in ("table1", "sewn"):
+            title = "the walk" if kind == "table1" else "the walk in sewn trousers"
+            found += [_paper_table(title, result), _walk_table(title, row["parameters"]["every"], result)]
         elif kind == "k_arity":
             found.append(_measured_table("k x arity on the walk", result, "18 x 4"))
         elif kind == "heuristics":
@@ -41,7 +42,7 @@ def tables(rows: list[Row]) -> list[Table]:
     return [*found, _share_table(shares)] if shares else found
 
 
-def _paper_table(result: dict[str, Any]) -> Table:
+def _paper_table(title: str, result: dict[str, Any]) -> Table:
     base, own = result["rows"]["accelerated"], PAPER["accelerated"]
     cells = []
     for name, row in result["rows"].items():
@@ -50,19 +51,18 @@ def _paper_table(result: dict[str, Any]) -> Table:
             cells.append((name, key, 1e3 * row[key], row[key] / base[key], printed[n] / own[n] if printed else None))
     columns = ("configuration", "part", "median a step [ms]", "ratio", "paper's ratio")
     return Table(
-        f"Table 1: the walk, {result['steps']} steps", columns, cells, "Ratios to the accelerated configuration."
+        f"Table 1: {title}, {result['steps']} steps", columns, cells, "Ratios to the accelerated configuration."
     )
 
 
-def _walk_table(result: dict[str, Any]) -> Table:
+def _walk_table(title: str, every: int, result: dict[str, Any]) -> Table:
     cells = [
         (name, *(row[key] for key in TESTS), row["self_share"], row["missed"], row["occurring"])
         for name, row in result["rows"].items()
     ]
     columns = ("configuration", *(f"{key} a step" for key in TESTS), "share of self-collision", "missed", "of")
-    return Table(
-        "The walk: counts and misses", columns, cells, "Misses in every tenth step. Self: 'a fractional amount'."
-    )
+    note = f"Misses in every {every}th step. Self: 'a fractional amount'."
+    return Table(f"{title.capitalize()}: counts and misses", columns, cells, note)
 
 
 def _measured_table(title: str, result: dict[str, Any], base: str) -> Table:

@@ -53,8 +53,9 @@ _NOTES = (
     "Mezger, Kimmerle and Etzmuss 2003, Table 1: trousers of 833 vertices and 1,626 triangles on an avatar of 28,784 "
     "polygons, 600 steps of 0.01 s; hardware, eps_close of the accelerated run, cone thresholds and groups are open. Here: "
     "838 vertices and 1,628 triangles that follow a walking body of 26,756, and sewn trousers of 803 and 1,572 that it "
-    "wears, eps 4 mm. All configurations see every step one after the other, so what else the machine does meets all alike. Times of seconds are this machine's; ratios and "
-    "counts are to be compared. A miss is a pair that comes within 4 mm during the step and was not reported."
+    "wears, eps 4 mm. All configurations see every step one after the other, so what else the machine does meets all "
+    "alike. Times of seconds are this machine's; ratios and counts are to be compared. A miss is a pair that comes within "
+    "4 mm during the step and was not reported."
 )
 
 Frame = tuple[list[FloatArray], list[FloatArray], float]

@@ -25,8 +25,8 @@ PAPER_TABLE_2 = {"skirt": (336, 206.0), "trousers": (560, 334.0), "shirt": (544,
 """Vertices, and ms until the garment hangs."""
 BUDGET = {"skirt": 0.15, "trousers": 0.15, "shirt": 0.15, "dress": 0.4}
 """[s] without self-collision; three times that with it."""
-GRIDS = {"skirt": (24, 8), "trousers": (10, 15), "shirt": (17, 17), "dress": (32, 17)}
-"""(columns, rows) of the vertices of each panel: as near to the paper's counts as whole numbers are."""
+GRIDS = {"skirt": (14, 12), "trousers": (7, 20), "shirt": (16, 17), "dress": (16, 32)}
+"""(columns, rows) of the vertices of each panel: the paper's counts, in cells that are as nearly square as they allow."""
 PATTERN = {"skirt": "skirt", "trousers": "trousers", "shirt": "sleeveless_shirt", "dress": "dress"}
 
 _REPEATS = 9

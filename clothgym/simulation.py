@@ -168,9 +168,10 @@ class Simulation:
             raise ValueError("body_mesh: the scene has no bodies")
         if not hasattr(self, "_body_mesh"):
             from clothgym.body import joined
-            from clothgym.detection.body_mesh import BodyMesh
+            from clothgym.detection.body_mesh import BodyMesh, still
 
-            self._body_mesh = BodyMesh(*joined(self.scene.bodies))
+            bodies = tuple(self.scene.bodies)
+            self._body_mesh = BodyMesh(*joined(bodies)) if self.scene.moving else still(bodies)
         if self.scene.moving:
             from clothgym.body import vertices_at
 

@@ -53,9 +53,11 @@ _ROUGH: dict[str, Any] = {
     "body_faces": 1,
 }
 """A garment first falls into place at this effort, without self-collision; then it comes to rest as the fidelity promises."""
-_LIGHTER = 0.25
+_LIGHTER = 0.5
 """Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
 it there."""
+_FALLEN = (0.05, 0.02, 0.1)
+"""[s], [m/s]: window and speeds as for rest, at which a fall is over; what moves slower comes to rest in the drape."""
 _TANGLED = 40
 """Hits after the fall from which on untangling takes longer than falling again with self-collision,"""
 _PATIENCE = 0.5
@@ -279,7 +281,7 @@ def _settled(
     x = scene.start
     for stage, how in ((light, rough), (alone, fine)):
         simulation = Simulation(_begun(stage, x), how)
-        rest, steps = Rest(simulation), round(seconds / scene.step)
+        rest, steps = Rest(simulation, *_FALLEN), round(seconds / scene.step)
         for step in range(1, steps + 1):
             simulation.step()
             if rest.reached():
@@ -342,11 +344,18 @@ class Rest:
     """Watches a simulation: whether it has been at rest for the time over which speeds are taken.
 
     Mean and 99th percentile of the speeds tell more than the kinetic energy, which a few trembling vertices dominate.
+
+    Args:
+        simulation: what is watched, from now on.
+        window: time over which speeds are taken [s].
+        mean, p99: both speeds are below these at rest [m/s].
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        self.simulation = simulation
-        self.window = max(1, round(_WINDOW / simulation.scene.step))
+    def __init__(
+        self, simulation: Simulation, window: float = _WINDOW, mean: float = REST_MEAN, p99: float = REST_P99
+    ) -> None:
+        self.simulation, self.mean, self.p99 = simulation, mean, p99
+        self.window = max(1, round(window / simulation.scene.step))
         self.past = [np.array(simulation.positions)]
         self.speeds = (0.0, 0.0)
 
@@ -354,7 +363,8 @@ class Rest:
         """To be asked after every step."""
         self.past = [*self.past[-self.window :], np.array(self.simulation.positions)]
         self.speeds = _speeds(self.past, self.simulation.scene.step)
-        return len(self.past) > self.window and _rests(*self.speeds)
+        mean, p99 = self.speeds
+        return len(self.past) > self.window and mean < self.mean and p99 < self.p99
 
 
 def _rests(mean: float, p99: float) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from clothgym.arrays import FloatArray
 from clothgym.body import Body
-from clothgym.detection.body_mesh import BodyMesh
+from clothgym.detection.body_mesh import still
 from clothgym.dressing.sewing import opening_lengths
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
@@ -213,7 +213,7 @@ def _trunk_faces(body: Body) -> np.ndarray:
 
 def clear(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
     """Panels pushed outwards along their normals until none is nearer to the body than the clearance; a line for each."""
-    surface = BodyMesh(body.mesh.vertices, body.mesh.faces)
+    surface = still((body,))
     panels, notes = [], []
     for panel in pattern.panels:
         outline = panel.outline(_COARSE)

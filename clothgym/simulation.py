@@ -198,6 +198,11 @@ class Simulation:
         return {name: (int(calls), seconds) for name, (calls, seconds) in self.pipeline.profile.items()}
 
     @property
+    def untangling_passes(self) -> int:
+        """Passes of untangling since reset."""
+        return self._frame.untangling_passes
+
+    @property
     def last_intersections(self) -> Any:
         """Intersections of the current state, found once per state."""
         if self._intersections is None:

@@ -1,4 +1,4 @@
-"""Garments over each other on one body: put on apart, so that they begin inside each other, then untangled."""
+"""Garments over each other on one body: draped one by one, so that they begin inside each other, then untangled."""
 
 from __future__ import annotations
 
@@ -10,15 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from clothgym.arrays import check_number
+from clothgym.arrays import BoolArray, FloatArray, check_number
 from clothgym.body import Body
+from clothgym.detection.body_mesh import BodyMesh
 from clothgym.detection.openings import Threading, threading
 from clothgym.dressing.draping import Draped
 from clothgym.dressing.worn import expected_limbs
-from clothgym.mesh import Mesh
+from clothgym.mesh import Mesh, Surface
 from clothgym.rig import Limb
 from clothgym.scene import Scene
 from clothgym.simulation import Simulation
+
+LAYER = 6e-3
+"""[m] a garment starts at least this far outside of what it lies on."""
+_DEEP = 0.08
+"""[m] what is deeper inside of a garment is on the other side of the body."""
+_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +46,7 @@ def layer(garments: Sequence[Draped], seconds: float = 0.5) -> Layered:
     """Lets garments that were draped one by one hang over each other on the body that stands.
 
     Args:
-        garments: on the same body, the inner ones first; of layers that stand inside each other untangling takes the
-            shorter way.
+        garments: on the same body, the inner ones first.
         seconds: how long [s].
 
     Raises:
@@ -93,18 +99,45 @@ def scene_of(garments: Sequence[Draped], what: str, damping: float | None = None
         if not _same(other.body, body):
             raise ValueError(f"{what}: garments on different bodies: {body.name!r} and {other.body.name!r}")
     cloths = []
+    below = [_surface(body.mesh)]
     for garment in garments:
         (cloth,) = garment.simulation.scene.cloths
         material: Any = cloth.material
         if damping is not None:
             material = dataclasses.replace(material, damping=damping)
-        mesh = Mesh(garment.positions, garment.faces, garment.garment.quads)
+        x = garment.positions if not cloths else _outside(garment.positions, below)
+        mesh = Mesh(x, garment.faces, garment.garment.quads)
+        below.append(_surface(mesh))
         cloths.append(dataclasses.replace(cloth, mesh=mesh, material=material))
     names = " and ".join(garment.garment.name for garment in garments)
     first = garments[0].simulation.scene
     return dataclasses.replace(
         first, cloths=tuple(cloths), bodies=(body,), self_collision=True, name=f"{names} on {body.name}"
     )
+
+
+def _outside(x: FloatArray, below: Sequence[tuple[BodyMesh, FloatArray, BoolArray]]) -> FloatArray:
+    """Vertices (V, 3) of a garment, brought out of the body and of the garments below it.
+
+    What lies inside goes to the nearest place outside, a layer further. Beside the border of a garment nothing is inside.
+    """
+    for surface, normals, closed in below:
+        for _ in range(_ROUNDS):
+            places, faces = surface.closest(x)
+            distance = surface.signed_distance(x)
+            low = (distance < LAYER) & (distance > -_DEEP) & closed[faces]
+            x = np.where(low[:, None], places + LAYER * normals[faces], x)
+    return x
+
+
+def _surface(mesh: Mesh) -> tuple[BodyMesh, FloatArray, BoolArray]:
+    """A mesh to ask for distances, the normals of its faces (F, 3), and which of them (F,) have no side at a border."""
+    surface = Surface(mesh.faces, len(mesh.vertices))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
+    closed = (surface.edge_face_count[surface.face_edges] > 1).all(axis=1)
+    return BodyMesh(mesh.vertices, mesh.faces), normals, closed
 
 
 def effort_of(garments: Sequence[Draped], parts: int = 1) -> Any:

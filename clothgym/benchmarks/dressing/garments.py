@@ -29,7 +29,7 @@ GRIDS = {"skirt": (14, 12), "trousers": (7, 20), "shirt": (16, 17), "dress": (16
 """(columns, rows) of the vertices of each panel: the paper's counts, in cells that are as nearly square as they allow."""
 PATTERN = {"skirt": "skirt", "trousers": "trousers", "shirt": "sleeveless_shirt", "dress": "dress"}
 
-_REPEATS = 9
+_REPEATS, _DRAPES = 9, 3
 _EXPLICIT = {"integrator": "symplectic_euler", "substeps": 0, "stretch_limit": 0.1}
 
 
@@ -91,16 +91,15 @@ def _kept(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _table_2(parameters: dict[str, Any]) -> dict[str, Any]:
-    """The paper's garments in quads: twice, the second one is timed, since the first measures the body and draws its maps;
-    without the report, which takes as long as sewing."""
+    """The paper's garments in quads, time and again: the first one measures the body and draws its maps, of the others the
+    median is told, without the report, which takes as long as sewing."""
     name = parameters["garment"]
     settings: dict[str, Any] = {
         "mesher": "quads", "grid": GRIDS[name], "self_collision": parameters["self_collision"],
     }  # fmt: skip
-    reports = [drape(PATTERN[name], "female", **settings).report for _ in range(2)]
-    last = reports[-1]
-    ready = last["seconds"] - last["measure_seconds"]
-    return _kept(last) | {"ready_seconds": ready, "first_seconds": reports[0]["seconds"]}
+    reports = [drape(PATTERN[name], "female", **settings).report for _ in range(1 + _DRAPES)]
+    ready = statistics.median(report["seconds"] - report["measure_seconds"] for report in reports[1:])
+    return _kept(reports[-1]) | {"ready_seconds": ready, "first_seconds": reports[0]["seconds"]}
 
 
 def _table_1(parameters: dict[str, Any]) -> dict[str, Any]:
@@ -212,12 +211,8 @@ def _table_2_shown(rows: list[Row]) -> Table:
         "garment", "self-collision", "vertices", "paper's", "sewn and at rest [s]", "to reach [s]", "paper [s]", "worn",
         "at rest", "hits", "seam strain p99 [%]", "deepest [mm]", "off the body p99 [mm]",
     )  # fmt: skip
-    return Table(
-        "Table 2: quads, sewn and draped to rest",
-        columns,
-        cells,
-        "on a body that was dressed before; the paper's time leaves the set-up out",
-    )
+    note = "on a body that was dressed before, without the report; the paper's time leaves the set-up out"
+    return Table("Table 2: quads, sewn and draped to rest", columns, cells, note)
 
 
 def _table_1_shown(rows: list[Row]) -> Table:

@@ -8,7 +8,6 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from clothgym.detection.openings import Threading
 from clothgym.dressing.outcome import REST_MEAN, REST_P99, report
 from clothgym.dressing.placement import clear
 from clothgym.dressing.placement import fit as fit_placement
-from clothgym.dressing.placement import shoulder_vertices
 from clothgym.dressing.sewing import sew
 from clothgym.dressing.worn import expected_limbs, slides, threadings, what_is_wrong
 from clothgym.fidelity import Fidelity
@@ -163,7 +161,7 @@ def drape(
         if not wrong or last:
             scene = _scene(garment, sewn, wearer, cloth_material, seconds)
             effort = _effort(scene, how)
-            x = _settled(scene, effort, fitting.on_shoulders, seconds, _told(progress, "settle", text))
+            x = _settled(scene, effort, seconds, _told(progress, "settle", text))
             now = _lap(clock, "settle", now)
             wrong, when = what_is_wrong(fitting.worn(garment, x), slides(garment, sewn, x)), "when it hung"
         if wrong and not last:
@@ -228,7 +226,6 @@ class _Fitting:
         self.maps = body_maps((body,), fidelity)
         self.garment = assemble(pattern, edge_length, mesher, grid)
         self.expected = expected_limbs(self.garment, body)
-        self.on_shoulders = len(shoulder_vertices(self.garment)) > 0
 
     def sew(
         self, shift: float, tell: Callable[[float, float], None] | None = None
@@ -276,20 +273,14 @@ def _scene(garment: Garment, x: FloatArray, body: Body, material: Material, seco
 def _settled(
     scene: Scene,
     effort: Fidelity,
-    on_shoulders: bool,
     seconds: float,
     progress: Callable[[float, float], None] | None,
 ) -> FloatArray:
     """Positions (V, 3) [m] where the garment hangs without self-collision: it falls into place at a rough effort and a
-    share of its weight, then hangs with all of it, with the substeps that it will rest with.
-
-    Sewing draws what hangs on shoulders up, and friction would leave it there: it falls into place without.
-    """
+    share of its weight, then hangs with all of it, with the substeps that it will rest with."""
     alone = dataclasses.replace(scene, self_collision=False)
     gx, gy, gz = scene.gravity
     light = dataclasses.replace(alone, gravity=(_LIGHTER * gx, _LIGHTER * gy, _LIGHTER * gz))
-    if on_shoulders:
-        light = dataclasses.replace(light, bodies=tuple(_smooth(body) for body in scene.bodies))
     few = min(effort.body_faces, _ROUGH["body_faces"])
     rough, fine = dataclasses.replace(effort, **_ROUGH), dataclasses.replace(effort, body_faces=few)
     x = scene.start
@@ -304,12 +295,6 @@ def _settled(
                 progress(step, steps)
         x = np.array(simulation.positions)
     return x
-
-
-@lru_cache(maxsize=4)
-def _smooth(body: Body) -> Body:
-    """The same body without friction; kept, for the sake of its maps."""
-    return dataclasses.replace(body, friction=0.0)
 
 
 def _begun(scene: Scene, x: FloatArray) -> Scene:

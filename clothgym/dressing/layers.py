@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from clothgym.arrays import BoolArray, FloatArray, check_number
+from clothgym.arrays import FloatArray, check_number
 from clothgym.body import Body
 from clothgym.detection.body_mesh import BodyMesh
 from clothgym.detection.openings import Threading, threading
 from clothgym.dressing.draping import Draped
 from clothgym.dressing.worn import expected_limbs
-from clothgym.mesh import Mesh, Surface
+from clothgym.mesh import Mesh
 from clothgym.rig import Limb
 from clothgym.scene import Scene
 from clothgym.simulation import Simulation
@@ -25,6 +25,8 @@ LAYER = 6e-3
 """[m] a garment starts at least this far outside of what it lies on."""
 _DEEP = 0.08
 """[m] what is deeper inside of a garment is on the other side of the body."""
+_SAME = 1e-4
+"""[m] nearer than this two places are the same: no direction tells on which side one lies."""
 _ROUNDS = 2
 
 
@@ -116,28 +118,28 @@ def scene_of(garments: Sequence[Draped], what: str, damping: float | None = None
     )
 
 
-def _outside(x: FloatArray, below: Sequence[tuple[BodyMesh, FloatArray, BoolArray]]) -> FloatArray:
+def _outside(x: FloatArray, below: Sequence[tuple[BodyMesh, FloatArray]]) -> FloatArray:
     """Vertices (V, 3) of a garment, brought out of the body and of the garments below it.
 
-    What lies inside goes to the nearest place outside, a layer further. Beside the border of a garment nothing is inside.
+    What lies inside goes to the nearest place outside, a layer further. Beyond the border of a garment nothing is inside.
     """
-    for surface, normals, closed in below:
+    for surface, normals in below:
         for _ in range(_ROUNDS):
             places, faces = surface.closest(x)
-            distance = surface.signed_distance(x)
-            low = (distance < LAYER) & (distance > -_DEEP) & closed[faces]
-            x = np.where(low[:, None], places + LAYER * normals[faces], x)
+            way, normal = x - places, normals[faces]
+            height = np.einsum("vc,vc->v", way, normal)
+            facing = np.linalg.norm(way - height[:, None] * normal, axis=1) <= np.maximum(np.abs(height), _SAME)
+            low = facing & (height < LAYER) & (height > -_DEEP)
+            x = np.where(low[:, None], places + LAYER * normal, x)
     return x
 
 
-def _surface(mesh: Mesh) -> tuple[BodyMesh, FloatArray, BoolArray]:
-    """A mesh to ask for distances, the normals of its faces (F, 3), and which of them (F,) have no side at a border."""
-    surface = Surface(mesh.faces, len(mesh.vertices))
+def _surface(mesh: Mesh) -> tuple[BodyMesh, FloatArray]:
+    """A mesh to ask for nearest places, and the normals of its faces (F, 3)."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
-    closed = (surface.edge_face_count[surface.face_edges] > 1).all(axis=1)
-    return BodyMesh(mesh.vertices, mesh.faces), normals, closed
+    return BodyMesh(mesh.vertices, mesh.faces), normals
 
 
 def effort_of(garments: Sequence[Draped], parts: int = 1) -> Any:

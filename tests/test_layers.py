@@ -33,7 +33,7 @@ def test_what_a_table_carries_lies_at_the_tolerance_and_floats_when_lifted():
     gaps = contact_gaps(simulation)
     assert len(gaps) == len(sheet.vertices)
     assert gaps == pytest.approx(3e-3, abs=2e-4)
-    simulation.set_positions(simulation.positions + (0.0, 0.01, 0.0))
+    simulation.set_positions(simulation.positions + np.array([0.0, 0.01, 0.0]))
     assert contact_gaps(simulation) == pytest.approx(13e-3, abs=2e-4)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clothgym.arrays import FloatArray, check_number
+from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.body import Body
 from clothgym.detection.body_mesh import BodyMesh
 from clothgym.detection.openings import Threading, threading
@@ -27,7 +27,7 @@ _DEEP = 0.08
 """[m] what is deeper inside of a garment is on the other side of the body."""
 _SAME = 1e-4
 """[m] nearer than this two places are the same: no direction tells on which side one lies."""
-_ROUNDS = 2
+_ROUNDS, _SMOOTHING = 4, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def scene_of(garments: Sequence[Draped], what: str, damping: float | None = None
         material: Any = cloth.material
         if damping is not None:
             material = dataclasses.replace(material, damping=damping)
-        x = garment.positions if not cloths else _outside(garment.positions, below)
+        x = garment.positions if not cloths else _outside(garment.positions, garment.faces, below)
         mesh = Mesh(x, garment.faces, garment.garment.quads)
         below.append(_surface(mesh))
         cloths.append(dataclasses.replace(cloth, mesh=mesh, material=material))
@@ -118,19 +118,31 @@ def scene_of(garments: Sequence[Draped], what: str, damping: float | None = None
     )
 
 
-def _outside(x: FloatArray, below: Sequence[tuple[BodyMesh, FloatArray]]) -> FloatArray:
-    """Vertices (V, 3) of a garment, brought out of the body and of the garments below it.
+def _outside(x: FloatArray, faces: IntArray, below: Sequence[tuple[BodyMesh, FloatArray]]) -> FloatArray:
+    """Vertices (V, 3) of a garment with these faces, brought out of the body and of the garments below it.
 
-    What lies inside goes to the nearest place outside, a layer further. Beyond the border of a garment nothing is inside.
+    All go away from the body, whose directions turn slowly from place to place, and take their neighbours along: a vertex that
+    went where the garment below is nearest would fold the cloth. Beyond the border of a garment nothing is inside.
     """
-    for surface, normals in below:
-        for _ in range(_ROUNDS):
-            places, faces = surface.closest(x)
-            way, normal = x - places, normals[faces]
-            height = np.einsum("vc,vc->v", way, normal)
-            facing = np.linalg.norm(way - height[:, None] * normal, axis=1) <= np.maximum(np.abs(height), _SAME)
+    (body, _), *_ = below
+    corners = np.bincount(faces.ravel(), minlength=len(x))
+    for _ in range(_ROUNDS):
+        way = x - body.closest(x)[0]
+        way /= np.maximum(np.linalg.norm(way, axis=1), _SAME)[:, None]
+        missing = np.zeros(len(x))
+        for surface, normals in below:
+            places, nearest = surface.closest(x)
+            normal, off = normals[nearest], x - places
+            height = np.einsum("vc,vc->v", off, normal)
+            facing = np.linalg.norm(off - height[:, None] * normal, axis=1) <= np.maximum(np.abs(height), _SAME)
             low = facing & (height < LAYER) & (height > -_DEEP)
-            x = np.where(low[:, None], places + LAYER * normal, x)
+            missing = np.maximum(missing, np.where(low, LAYER - height, 0.0))
+        if not missing.any():
+            break
+        for _ in range(_SMOOTHING):
+            around = np.repeat(missing[faces].mean(axis=1), 3)
+            missing = np.maximum(missing, np.bincount(faces.ravel(), around, minlength=len(x)) / np.maximum(corners, 1))
+        x = x + missing[:, None] * way
     return x
 
 

@@ -74,7 +74,9 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     # seams across the hips, and panels that stand apart there, make the width jump: the tightest counts
     trunk = _trunk_faces(body)
     around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
-    hips = [(_flat_girth(pattern, float(y), s.centre, reach), girth(body.mesh.vertices, trunk, float(y))) for y in around]
+    hips = [
+        (_flat_girth(pattern, float(y), s.centre, reach), girth(body.mesh.vertices, trunk, float(y))) for y in around
+    ]
     found = [width / (there + _ROUND) for width, there in hips if width > 0.0]
     if found:
         ratios["hips"] = min(found)

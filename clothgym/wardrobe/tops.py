@@ -18,8 +18,8 @@ _ABOVE_SHOULDERS = 0.02
 _BESIDE_ARM = 0.012
 """[m] armpits start this far below the arms."""
 _CAP = 0.42
-"""Height of a sleeve's cap, over that which would be as long as the armhole. The armpit comes to lie beside the trunk, inwards of
-where it is drawn: a sleeve with the whole cap would begin above the shoulder and stand up there with the shoulder's end."""
+"""Height of a sleeve's cap, over that which would be as long as the armhole. The armpit comes to lie beside the trunk, inwards
+of where it is drawn: a sleeve with the whole cap would begin above the shoulder and stand up there with its end."""
 _DROPPED = 1.25
 """Shoulders of a garment with such sleeves end this much further out than the body's."""
 

@@ -14,8 +14,8 @@ from clothgym.dressing import drape, layer, walk
 
 KINDS = ("worn", "walk", "layers")
 WALKS = (("trousers",), ("skirt", "shirt"))
-"""The inner garments first."""
-LAYERS = (("trousers", "shirt"), ("skirt", "sleeveless_shirt"), ("sleeveless_shirt", "shirt"), ("t_shirt", "vest"))
+"""The inner garments first, here and below: a shirt in trousers, a jacket over a shirt."""
+LAYERS = (("shirt", "trousers"), ("skirt", "sleeveless_shirt"), ("sleeveless_shirt", "shirt"), ("vest", "t_shirt"))
 FLOATING = 3e-3
 """[m] what rests on the body may be so much further from it than the tolerance."""
 

@@ -184,8 +184,7 @@ def load(
             raise ValueError(
                 f"body {source!r}: unit = {unit!r}, up = {up!r}: bodies of the package have metres and y up"
             )
-        skinned = rig.load(source)
-        return Body((skinned.posed(pose), skinned.faces), name or source, limbs=skinned.limbs(pose))
+        return _of_package(source, pose, name or source)
     path = Path(source)
     if pose != "rest":
         raise ValueError(f"{path}: pose = {pose!r}: a mesh file has no skeleton; expected rest")
@@ -196,6 +195,13 @@ def load(
         return Body((vertices, faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+@lru_cache(maxsize=8)
+def _of_package(source: str, pose: str, name: str) -> Body:
+    """Kept, so that its sizes, maps and exact surface are found once."""
+    skinned = rig.load(source)
+    return Body((skinned.posed(pose), skinned.faces), name, limbs=skinned.limbs(pose))
 
 
 def _read(path: Path) -> tuple[FloatArray, IntArray]:

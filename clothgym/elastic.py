@@ -159,23 +159,21 @@ def _unique(pairs: IntArray) -> IntArray:
 def _skip_one(quads: IntArray) -> tuple[IntArray, IntArray]:
     """Pairs (P, 2) of vertices two steps apart along a grid line, a-b in one quad and b-c in the next across the edge at
     b, and the vertex b (P,) between them."""
-    sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for quad in quads.tolist():
-        for i in range(4):
-            before, a, b, after = quad[i - 1], quad[i], quad[(i + 1) % 4], quad[(i + 2) % 4]
-            key, ends = ((a, b), (before, after)) if a < b else ((b, a), (after, before))
-            sides.setdefault(key, []).append(ends)
-    found = [
-        (min(one[k], two[k]), max(one[k], two[k]), edge[k])
-        for edge, across in sides.items()
-        if len(across) == 2
-        for one, two in [across]
-        for k in range(2)
-    ]
-    rows = np.asarray(found, np.int32).reshape(-1, 3)
-    pairs, first = np.unique(rows[:, :2], axis=0, return_index=True)
+    # each side of each quad: its ends, and beyond each of them the next corner
+    ends = np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)]).astype(np.int64)
+    beyond = np.concatenate([quads[:, [i - 1, (i + 2) % 4]] for i in range(4)])
+    falling = ends[:, 0] > ends[:, 1]
+    ends[falling], beyond[falling] = ends[falling][:, ::-1], beyond[falling][:, ::-1]
+    _, side, count = np.unique(
+        ends[:, 0] * (int(quads.max(initial=0)) + 1) + ends[:, 1], return_inverse=True, return_counts=True
+    )
+    order = np.argsort(side, kind="stable")
+    start = (np.cumsum(count) - count)[count == 2]
+    one, two = order[start], order[start + 1]
+    across = np.sort(np.stack([beyond[one].ravel(), beyond[two].ravel()], axis=1), axis=1)
+    pairs, first = np.unique(across, axis=0, return_index=True)
     proper = pairs[:, 0] != pairs[:, 1]  # a panel sewn to itself beside a fold
-    return pairs[proper], rows[first, 2][proper]
+    return np.asarray(pairs[proper], np.int32), np.asarray(ends[one].ravel()[first][proper], np.int32)
 
 
 # ---------------------------------------------------------------------------------------------------------------

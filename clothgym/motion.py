@@ -20,6 +20,8 @@ from clothgym import rig
 from clothgym.arrays import FloatArray, as_vector, check_choice, check_each, check_flag, check_number, read_only
 
 _LATEST = 1e6
+_SAME_SHAPE = 1e-3
+"""[m] a mesh that lies further than this from a pose, after the best shift, is not of that pose."""
 
 
 class Motion(Protocol):
@@ -150,7 +152,7 @@ class Walk:
     """
 
     body: str = "female"
-    pose: str = "a_pose"
+    pose: str = "rest"
     lead: float = 1.0
     stride: float = 1.2
 
@@ -168,11 +170,20 @@ class Walk:
         return rig.blended(skin.rotations(self.pose), walk, share * share * (3.0 - 2.0 * share))
 
     def vertices(self, start: FloatArray, time: float) -> FloatArray:
-        """See `Motion`; the body's mesh is that of the pose, wherever it was put."""
-        skin = rig.load(self.body)
-        if len(start) != len(skin.vertices):
-            raise ValueError(f"walk.body = {self.body!r}: the mesh has {len(start)} vertices, not {len(skin.vertices)}")
-        return start + (skin.posed(self.rotations(time)) - _posed(self.body, self.pose))
+        """See `Motion`; the body's mesh is that of the pose, wherever it was put.
+
+        Raises:
+            ValueError: the mesh of something else, or of another pose.
+        """
+        skin, posed = rig.load(self.body), _posed(self.body, self.pose)
+        if len(start) != len(posed):
+            raise ValueError(f"walk.body = {self.body!r}: the mesh has {len(start)} vertices, not {len(posed)}")
+        off = float(np.ptp(start - posed, axis=0).max())
+        if off > _SAME_SHAPE:
+            raise ValueError(
+                f"walk.body = {self.body!r}: the mesh is not that of walk.pose = {self.pose!r}, {off:.3g} m off"
+            )
+        return start + (skin.posed(self.rotations(time)) - posed)
 
     def to_json(self) -> dict[str, Any]:
         """See `Motion`."""

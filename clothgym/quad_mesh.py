@@ -107,13 +107,15 @@ def mesh_quads(pattern: Pattern, edge_length: float = 0.02, grid: tuple[int, int
 def _pieces(
     pattern: Pattern, sides: Sequence[tuple[tuple[int, ...], ...]], h: float, grid: tuple[int, int] | None
 ) -> list[list[int]]:
-    """For each panel the pieces of each edge: nearest to lengths over h, equal on opposite sides and along seams."""
+    """For each panel the pieces of each edge: nearest to lengths over h, or to its share of a side of the grid, equal on
+    opposite sides and along seams."""
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     number = {panel.name: n for n, panel in enumerate(pattern.panels)}
     starts = np.cumsum([0, *(len(panel.edges) for panel in pattern.panels)])
     count = int(starts[-1])
-    wanted = np.concatenate([[p.length(k) / h for k in range(len(p.edges))] for p in pattern.panels])
+    lengths = [np.array([panel.length(k) for k in range(len(panel.edges))]) for panel in pattern.panels]
+    wanted = np.concatenate(lengths) / h
     rows: list[FloatArray] = []
     sums: list[float] = []
 
@@ -130,6 +132,9 @@ def _pieces(
             demand(ids[k], ids[k + 2])
             if grid is not None:
                 demand(ids[k], (), grid[k] - 1)
+                for side in (four[k], four[k + 2]):
+                    of_side = lengths[n][list(side)]
+                    wanted[starts[n] + np.array(side)] = (grid[k] - 1) * of_side / of_side.sum()
     for seam in pattern.seams:
         a, b = starts[number[seam.panel_a]] + seam.edge_a, starts[number[seam.panel_b]] + seam.edge_b
         demand((int(a),), (int(b),))

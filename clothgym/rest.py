@@ -38,21 +38,33 @@ class RestShape:
         altitude[altitude == 0.0] = np.inf  # a face without area bounds nothing
         self.least_altitudes: FloatArray = np.full(self.count, np.inf)
         np.minimum.at(self.least_altitudes, self.faces.ravel(), np.repeat(altitude, 3))
+        self._told: tuple[Surface, IntArray, FloatArray] | None = None
 
     def pair_lengths(self, pairs: IntArray, surface: Surface) -> FloatArray:
         """(P,) rest distance of vertex pairs [m]; with corners per face they must be edges, or opposite one."""
         if self.places is not None:
             return np.linalg.norm(self.places[pairs[:, 1]] - self.places[pairs[:, 0]], axis=1)
-        across, across_lengths = self.opposite_lengths(surface)
-        known = np.concatenate([surface.edges, across]).astype(np.int64)
-        keys, first = np.unique(known[:, 0] * self.count + known[:, 1], return_index=True)
+        keys, lengths = self._distances(surface)
         wide = np.sort(np.asarray(pairs, np.int64), axis=1)
         wanted = wide[:, 0] * self.count + wide[:, 1]
         place = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
         if len(wanted) and not (keys[place] == wanted).all():
             a, b = pairs[int(np.argmax(keys[place] != wanted))]
             raise ValueError(f"rest: the distance of vertices {a} and {b} is not told by the corners of faces")
-        return np.concatenate([self.edge_lengths(surface), across_lengths])[first[place]]
+        return lengths[place]
+
+    def _distances(self, surface: Surface) -> tuple[IntArray, FloatArray]:
+        """What the corners of faces tell: pairs a < b as a V + b (P,), sorted, and their rest distances (P,) [m].
+
+        Kept, since each kind of spring asks for it.
+        """
+        if self._told is None or self._told[0] is not surface:
+            across, across_lengths = self.opposite_lengths(surface)
+            known = np.concatenate([surface.edges, across]).astype(np.int64)
+            keys, first = np.unique(known[:, 0] * self.count + known[:, 1], return_index=True)
+            lengths = np.concatenate([self.edge_lengths(surface), across_lengths])
+            self._told = surface, keys, lengths[first]
+        return self._told[1:]
 
     def bent_lengths(self, pairs: IntArray, middles: IntArray, surface: Surface) -> FloatArray:
         """(P,) rest distance [m] of pairs with a vertex between them on a line of the grid; with corners per face, where no

@@ -168,9 +168,10 @@ class Simulation:
             raise ValueError("body_mesh: the scene has no bodies")
         if not hasattr(self, "_body_mesh"):
             from clothgym.body import joined
-            from clothgym.detection.body_mesh import BodyMesh
+            from clothgym.detection.body_mesh import BodyMesh, still
 
-            self._body_mesh = BodyMesh(*joined(self.scene.bodies))
+            bodies = tuple(self.scene.bodies)
+            self._body_mesh = BodyMesh(*joined(bodies)) if self.scene.moving else still(bodies)
         if self.scene.moving:
             from clothgym.body import vertices_at
 
@@ -195,6 +196,11 @@ class Simulation:
     def profile(self) -> dict[str, tuple[int, float]]:
         """Stage name -> (calls, wall seconds) since reset."""
         return {name: (int(calls), seconds) for name, (calls, seconds) in self.pipeline.profile.items()}
+
+    @property
+    def untangling_passes(self) -> int:
+        """Passes of untangling since reset."""
+        return self._frame.untangling_passes
 
     @property
     def last_intersections(self) -> Any:

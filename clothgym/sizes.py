@@ -111,8 +111,8 @@ class Section:
         from scipy.sparse.csgraph import connected_components
 
         above = vertices[:, 1] > height
-        count = above[faces].sum(axis=1)
-        cut = faces[(count == 1) | (count == 2)]
+        first, second, third = (above[faces[:, k]] for k in range(3))
+        cut = faces[(first != second) | (second != third)]
         ends = np.sort(np.concatenate([cut[:, [0, 1]], cut[:, [1, 2]], cut[:, [2, 0]]]), axis=1)
         owner = np.tile(np.arange(len(cut)), 3)
         crossed = above[ends[:, 0]] != above[ends[:, 1]]
@@ -268,7 +268,9 @@ class _Tape:
     def _top(self, joint: FloatArray) -> tuple[float, float]:
         """Height and z of the ridge of the surface above a joint."""
         depths = joint[2] + np.arange(-0.05, 0.051, 0.01)
-        found = [(heights_above(self.v, self.f, joint[0], float(z)), float(z)) for z in depths]
+        sides = self.v[self.f, 0] > joint[0]
+        near = self.f[(sides[:, 0] != sides[:, 1]) | (sides[:, 1] != sides[:, 2])]
+        found = [(heights_above(self.v, near, joint[0], float(z)), float(z)) for z in depths]
         tops = [(float(h[-1]), z) for h, z in found if len(h)]
         return max(tops) if tops else (float(joint[1]), float(joint[2]))
 

@@ -63,6 +63,11 @@ def test_keyframes_join_by_straight_ways():
     assert loop.vertices(frames[0], 0.75 + 4 * 1.5) == pytest.approx(film.vertices(frames[0], 0.75))
 
 
+def test_a_body_of_the_package_walks_from_where_it_stands():
+    woman = cg.Body("female", motion=Walk("female"))
+    assert woman.at(0.0) == pytest.approx(cg.Body("female").mesh.vertices, abs=1e-12)
+
+
 def test_a_walk_begins_in_its_pose_and_becomes_the_walk():
     skin = rig.load("female")
     start = skin.posed("a_pose") + UP
@@ -104,6 +109,8 @@ def test_scenes_with_motion_survive_json():
         (lambda: Keyframes([0.0, 1.0], np.zeros((3, 4, 3))), "keyframes.frames"),
         (lambda: Walk("dog"), "walk.body"),
         (lambda: cg.Body("male", motion=Keyframes([0, 1], np.zeros((2, 4, 3)))), "motion"),
+        (lambda: cg.Body("male", motion=Walk("female")), "walk.body = 'female': the mesh is not that of .* 'rest'"),
+        (lambda: cg.Body("female", motion=Walk("female", "t_pose")), "the mesh is not that of walk.pose = 't_pose'"),
     ],
 )
 def test_wrong_motions_are_refused(wrong, message):

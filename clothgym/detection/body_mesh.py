@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clothgym.arrays import FloatArray, IntArray, as_faces, as_points
+from clothgym.body import Body, joined
 from clothgym.kernels import bvh, closest, kdop
 from clothgym.mesh import Surface
 
@@ -128,6 +129,12 @@ class BodyMesh:
 def _writable(array: Any) -> Any:
     """Kernels are compiled once more for arrays that cannot be written: a copy is quicker."""
     return np.require(array, requirements=["C", "W"])
+
+
+@lru_cache(maxsize=4)
+def still(bodies: tuple[Body, ...]) -> BodyMesh:
+    """The surface of bodies that stand still, shared by all who ask: it must not be moved."""
+    return BodyMesh(*joined(bodies))
 
 
 @lru_cache(maxsize=8)

@@ -19,10 +19,11 @@ from clothgym.arrays import FloatArray, IntArray, check_number
 from clothgym.body import Body
 from clothgym.detection.intersections import intersections
 from clothgym.detection.openings import Threading
+from clothgym.dressing.outcome import REST_MEAN, REST_P99, report
 from clothgym.dressing.placement import clear
 from clothgym.dressing.placement import fit as fit_placement
-from clothgym.dressing.sewing import rest_of, sew
-from clothgym.dressing.worn import SLIDE_LIMIT, expected_limbs, slides, threadings, what_is_wrong
+from clothgym.dressing.sewing import sew
+from clothgym.dressing.worn import expected_limbs, slides, threadings, what_is_wrong
 from clothgym.fidelity import Fidelity
 from clothgym.garment import Garment, assemble
 from clothgym.materials import Material
@@ -42,8 +43,6 @@ metre of cloth that swings."""
 
 _WINDOW = 0.1
 """[s] speeds are means over this time: what trembles in place is at rest."""
-REST_MEAN, REST_P99 = 0.004, 0.02
-"""[m/s] at rest: the mean and the 99th percentile of the speeds of all vertices are below these."""
 
 _ROUGH: dict[str, Any] = {
     "integrator": "xpbd",
@@ -53,9 +52,11 @@ _ROUGH: dict[str, Any] = {
     "body_faces": 1,
 }
 """A garment first falls into place at this effort, without self-collision; then it comes to rest as the fidelity promises."""
-_LIGHTER = 0.25
+_LIGHTER = 0.5
 """Share of gravity meanwhile: at a rough effort the full weight stretches a waistband, which slides down, and friction keeps
 it there."""
+_FALLEN = (0.05, 0.02, 0.1)
+"""[s], [m/s]: window and speeds as for rest, at which a fall is over; what moves slower comes to rest in the drape."""
 _TANGLED = 40
 """Hits after the fall from which on untangling takes longer than falling again with self-collision,"""
 _PATIENCE = 0.5
@@ -74,8 +75,10 @@ class Draped:
 
     Attributes:
         report: worn, at_rest, hits, contour_length [m], strain_p99 (all edges), seam_strain_p99 (edges at seam vertices),
-            penetration_p999 and penetration_max [m] (45 points of each triangle below the true body), shift [m] (of
-            the placement), seconds (wall), and more; see the keys.
+            penetration_p999 and penetration_max [m] (45 points of each triangle below the true body),
+            contact_gap_median and contact_gap_p99 [m] (how far from the true body the cloth is that the body carries, see
+            `outcome.contact_gaps`), shift [m] (of the placement), seconds (wall; measure_seconds of them went into this
+            report), and more; see the keys.
         notes: what was done to the body and the placement, a line each.
     """
 
@@ -147,7 +150,7 @@ def drape(
     cloth_material, how = materials.get(material), fidelities.get(fidelity)
     notes = [*wearer.notes, *said]
     fitting = _Fitting(given, wearer, how, edge_length, mesher, grid, closing)
-    clock = {"prepare": time.perf_counter() - started, "sew": 0.0, "settle": 0.0, "drape": 0.0}
+    clock = {"prepare": time.perf_counter() - started, "sew": 0.0, "settle": 0.0, "drape": 0.0, "measure": 0.0}
     best: Draped | None = None
     for attempt, shift in enumerate(SHIFTS, 1):
         text, last = f"attempt {attempt}, shift {1000 * shift:+.0f} mm", attempt == len(SHIFTS)
@@ -172,13 +175,14 @@ def drape(
         if tangled:
             notes.append(f"{text}: cloth passed through itself as it fell; it falls again and feels itself all the way")
             simulation, speeds = _simulate(_begun(scene, sewn), effort, seconds, tell, on_step, patience=math.inf)
-        _lap(clock, "drape", now)
+        now = _lap(clock, "drape", now)
         worn, moved = fitting.worn(garment, np.array(simulation.positions)), slides(garment, sewn, simulation.positions)
-        report = _report(garment, simulation, speeds, worn, moved)
-        report |= {"shift": shift, "attempts": attempt, "seam_gap": gap, "seconds": time.perf_counter() - started}
-        report |= {f"{phase}_seconds": spent for phase, spent in clock.items()}
-        best = Draped(garment, wearer, simulation, report, ())
-        if report["worn"]:
+        found = report(garment, simulation, speeds, worn, moved)
+        _lap(clock, "measure", now)
+        found |= {"shift": shift, "attempts": attempt, "seam_gap": gap, "seconds": time.perf_counter() - started}
+        found |= {f"{phase}_seconds": spent for phase, spent in clock.items()}
+        best = Draped(garment, wearer, simulation, found, ())
+        if found["worn"]:
             break
         notes.append(f"{text}: not worn at the end, {what_is_wrong(worn, moved)}")
     assert best is not None, "the last attempt is always draped"
@@ -267,7 +271,10 @@ def _scene(garment: Garment, x: FloatArray, body: Body, material: Material, seco
 
 
 def _settled(
-    scene: Scene, effort: Fidelity, seconds: float, progress: Callable[[float, float], None] | None
+    scene: Scene,
+    effort: Fidelity,
+    seconds: float,
+    progress: Callable[[float, float], None] | None,
 ) -> FloatArray:
     """Positions (V, 3) [m] where the garment hangs without self-collision: it falls into place at a rough effort and a
     share of its weight, then hangs with all of it, with the substeps that it will rest with."""
@@ -279,7 +286,7 @@ def _settled(
     x = scene.start
     for stage, how in ((light, rough), (alone, fine)):
         simulation = Simulation(_begun(stage, x), how)
-        rest, steps = Rest(simulation), round(seconds / scene.step)
+        rest, steps = Rest(simulation, *_FALLEN), round(seconds / scene.step)
         for step in range(1, steps + 1):
             simulation.step()
             if rest.reached():
@@ -342,11 +349,18 @@ class Rest:
     """Watches a simulation: whether it has been at rest for the time over which speeds are taken.
 
     Mean and 99th percentile of the speeds tell more than the kinetic energy, which a few trembling vertices dominate.
+
+    Args:
+        simulation: what is watched, from now on.
+        window: time over which speeds are taken [s].
+        mean, p99: both speeds are below these at rest [m/s].
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        self.simulation = simulation
-        self.window = max(1, round(_WINDOW / simulation.scene.step))
+    def __init__(
+        self, simulation: Simulation, window: float = _WINDOW, mean: float = REST_MEAN, p99: float = REST_P99
+    ) -> None:
+        self.simulation, self.mean, self.p99 = simulation, mean, p99
+        self.window = max(1, round(window / simulation.scene.step))
         self.past = [np.array(simulation.positions)]
         self.speeds = (0.0, 0.0)
 
@@ -354,11 +368,8 @@ class Rest:
         """To be asked after every step."""
         self.past = [*self.past[-self.window :], np.array(self.simulation.positions)]
         self.speeds = _speeds(self.past, self.simulation.scene.step)
-        return len(self.past) > self.window and _rests(*self.speeds)
-
-
-def _rests(mean: float, p99: float) -> bool:
-    return mean < REST_MEAN and p99 < REST_P99
+        mean, p99 = self.speeds
+        return len(self.past) > self.window and mean < self.mean and p99 < self.p99
 
 
 def _speeds(past: list[FloatArray], step: float) -> tuple[float, float]:
@@ -367,41 +378,3 @@ def _speeds(past: list[FloatArray], step: float) -> tuple[float, float]:
         return 0.0, 0.0
     speeds = np.linalg.norm(past[-1] - past[0], axis=1) / (step * (len(past) - 1))
     return float(speeds.mean()), float(np.percentile(speeds, 99))
-
-
-def _report(
-    garment: Garment,
-    simulation: Simulation,
-    speeds: tuple[float, float],
-    worn: list[Threading],
-    moved: list[float],
-) -> dict[str, Any]:
-    x = np.array(simulation.positions)
-    surface, rest = rest_of(garment)
-    ends = surface.edges
-    strain = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / rest - 1.0
-    at_seam = np.isin(ends, garment.seam_vertices).any(axis=1)
-    depths = simulation.body_mesh.penetration(x, garment.faces)
-    hits = simulation.last_intersections if simulation.scene.self_collision else intersections(x, surface)
-    mean, p99 = speeds
-    return {
-        "worn": all(w.right for w in worn) and max(moved) <= SLIDE_LIMIT,
-        "at_rest": _rests(mean, p99),
-        "hits": int(hits.hit_count),
-        "contour_length": float(hits.length),
-        "strain_p99": float(np.percentile(np.abs(strain), 99)),
-        "strain_max": float(np.abs(strain).max()),
-        "seam_strain_p99": float(np.percentile(np.abs(strain[at_seam]), 99)) if at_seam.any() else 0.0,
-        "penetration_p999": float(np.percentile(depths, 99.9)),
-        "penetration_max": float(depths.max()),
-        "mean_speed": mean,
-        "p99_speed": p99,
-        "simulated_seconds": simulation.time,
-        "vertices": len(x),
-        "panel_vertices": sum(len(mesh.vertices) for mesh in garment.panel_meshes),
-        "faces": len(garment.faces),
-        "openings": [
-            {"expected": w.expected, "through": list(w.through), "right": w.right, "slide": slide}
-            for w, slide in zip(worn, moved)
-        ],
-    }

@@ -14,7 +14,7 @@ import numpy as np
 
 from clothgym.arrays import FloatArray
 from clothgym.body import Body
-from clothgym.detection.body_mesh import BodyMesh
+from clothgym.detection.body_mesh import still
 from clothgym.dressing.sewing import opening_lengths
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
@@ -24,12 +24,14 @@ from clothgym.sizes import sizes
 _SHOULDER_CLEARANCE = 0.02
 """[m] shoulder seams stand this far above the shoulders: lower, they start inside the body."""
 _PANEL_CLEARANCE = 0.02
-_TIGHTEST, _SNUG = 1.0, 1.04
+_TIGHTEST, _SNUG = 0.96, 0.98
 """A pattern that is narrower than this share of a girth is made as wide as the second."""
 _WIDEST, _LOOSE = 1.3, 1.15
 """The same for one that is wider everywhere."""
-_SKIN = 4e-3
-"""[m] cloth lies this far from the skin."""
+_ROUND = 2.0 * math.pi * 4e-3
+"""[m] cloth lies 4 mm from the skin: so much longer it is than a girth."""
+_HIPS = 0.05
+"""Share of the height around the widest place of the hips."""
 _COARSE = 0.03
 """[m] edges of the garment that the fit is found with."""
 _PUSH_ROUNDS = 30
@@ -60,15 +62,24 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         s = sizes(body)
     except ValueError:
         return 1.0, ""
+    reach = 1.5 * s.shoulder_half
     ratios = {}
     for name, heights, girth_there in (
         ("bust", np.linspace(s.waist_height, s.bust_height, 9), s.bust_girth),  # armholes reach below the bust
         ("waist", [s.waist_height], s.waist_girth),
-        ("hips", [s.hip_height], s.hip_girth),
     ):
-        width = max(_flat_girth(pattern, float(y), s.centre, 1.5 * s.shoulder_half) for y in heights)
+        width = max(_flat_girth(pattern, float(y), s.centre, reach) for y in heights)
         if width > 0.0:
-            ratios[name] = width / (girth_there + 2.0 * math.pi * _SKIN)
+            ratios[name] = width / (girth_there + _ROUND)
+    # seams across the hips, and panels that stand apart there, make the width jump: the tightest counts
+    trunk = _trunk_faces(body)
+    around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
+    hips = [
+        (_flat_girth(pattern, float(y), s.centre, reach), girth(body.mesh.vertices, trunk, float(y))) for y in around
+    ]
+    found = [width / (there + _ROUND) for width, there in hips if width > 0.0]
+    if found:
+        ratios["hips"] = min(found)
     if not ratios:
         return 1.0, ""
     tight = min(ratios, key=lambda name: ratios[name])
@@ -213,7 +224,7 @@ def _trunk_faces(body: Body) -> np.ndarray:
 
 def clear(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
     """Panels pushed outwards along their normals until none is nearer to the body than the clearance; a line for each."""
-    surface = BodyMesh(body.mesh.vertices, body.mesh.faces)
+    surface = still((body,))
     panels, notes = [], []
     for panel in pattern.panels:
         outline = panel.outline(_COARSE)

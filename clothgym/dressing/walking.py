@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,10 +12,8 @@ import numpy as np
 
 from clothgym import rig
 from clothgym.arrays import check_number
-from clothgym.detection.openings import threading
 from clothgym.dressing.draping import Draped
-from clothgym.dressing.worn import expected_limbs
-from clothgym.mesh import Mesh
+from clothgym.dressing.layers import effort_of, openings, scene_of
 from clothgym.motion import Walk
 from clothgym.scene import Scene
 from clothgym.simulation import Simulation
@@ -67,10 +64,7 @@ def walk(
     check_number(seconds, "walk: seconds", 0.0, 1e4)
     started = time.perf_counter()
     scene = walking_scene(worn, seconds, pose)
-    fidelity = worn[0].simulation.fidelity
-    substeps = max(d.simulation.pipeline.substeps for d in worn)
-    fidelity = dataclasses.replace(fidelity, substeps=max(8, math.ceil(substeps / _PARTS)))
-    simulation = Simulation(scene, fidelity)
+    simulation = Simulation(scene, effort_of(worn, _PARTS))
     told: list[tuple[int, float]] = []
     deepest = 0.0
     if on_frame is not None:
@@ -84,11 +78,7 @@ def walk(
             on_frame(simulation)
     (moving,) = scene.bodies
     limbs = rig.load(moving.name).limbs(moving.motion.rotations(simulation.time))  # type: ignore[union-attr]
-    x, found = np.array(simulation.positions), []
-    for garment, (_, vertices, _) in zip(worn, simulation.cloth_ranges):
-        expected = expected_limbs(garment.garment, garment.body)
-        loops = [x[vertices][loop] for loop in garment.garment.openings]
-        found += [threading(loop, limbs, name) for loop, name in zip(loops, expected)]
+    found = openings(worn, simulation, limbs)
     report = {
         "worn": all(opening.right for opening in found),
         "openings": [{"expected": w.expected, "through": list(w.through), "right": w.right} for w in found],
@@ -109,30 +99,13 @@ def walking_scene(garments: Sequence[Draped], seconds: float = 6.0, pose: str = 
     Raises:
         ValueError: as `walk`.
     """
-    if not garments:
-        raise ValueError("walk: garments: none given")
-    body = garments[0].body
+    scene = scene_of(garments, "walk", damping=_DAMPING)
+    (body,) = scene.bodies
     if body.name not in rig.NAMES:
         raise ValueError(f"walk: body {body.name!r}: has no skeleton; expected one of {', '.join(rig.NAMES)}")
-    for other in garments[1:]:
-        if other.body.name != body.name or not np.array_equal(other.body.mesh.vertices, body.mesh.vertices):
-            raise ValueError(f"walk: garments on different bodies: {body.name!r} and {other.body.name!r}")
-    first = garments[0].simulation.scene
-    cloths = []
-    for garment in garments:
-        cloth = garment.simulation.scene.cloths[0]
-        loose = dataclasses.replace(cloth.material, damping=_DAMPING)  # type: ignore[type-var]
-        mesh = Mesh(garment.positions, garment.faces, garment.garment.quads)
-        cloths.append(dataclasses.replace(cloth, mesh=mesh, material=loose))
     moving = dataclasses.replace(body, motion=Walk(body.name, pose, stride=STRIDE))
-    return dataclasses.replace(
-        first,
-        cloths=tuple(cloths),
-        bodies=(moving,),
-        step=1.0 / (60.0 * _PARTS),
-        duration=seconds,
-        name=f"{' and '.join(d.garment.name for d in garments)} on {body.name}, walking",
-    )
+    step = 1.0 / (60.0 * _PARTS)
+    return dataclasses.replace(scene, bodies=(moving,), step=step, duration=seconds, name=f"{scene.name}, walking")
 
 
 def _longest(marks: Sequence[bool]) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from clothgym.pattern import Pattern
 from clothgym.sizes import Sizes
-from clothgym.wardrobe.outline import Draft, Outline
+from clothgym.wardrobe.outline import Draft, Outline, Point
 
 CLEARANCE = 0.04
 """[m] panels stand this far in front of the trunk and behind it."""
@@ -17,6 +17,8 @@ _OFF_SKIN = 4e-3
 """[m] cloth lies this far from the skin."""
 _FLARE = 1.32
 """Hem of a skirt over the hips."""
+_MOST_RISE = 0.2
+"""Of half a waistline."""
 _CROTCH_DROP = 0.055
 """[m] trousers hang this far below the crotch before they are drawn up."""
 
@@ -38,12 +40,19 @@ def skirt(s: Sizes) -> Pattern:
     waist, hip, hem = quarter(s.waist_girth, WAIST_EASE), quarter(s.hip_girth, HIP_EASE), quarter(s.hip_girth, _FLARE)
     top, middle, low = s.waist_height, s.hip_height + 0.03 * s.height, s.knee_height + 0.01 * s.height
     bulge = (hip + 0.004 * s.height, middle + 0.45 * (top - middle))
+    rise = _rise(waist, top, bulge)
     front = Outline.of(
         (-hem, low), ("hem", (0.0, low - 0.025 * s.height)), (hem, low), "side_left", (hip, middle),
-        ("hip_left", bulge), (waist, top), ("waist", (0.0, top - 0.008 * s.height)), (-waist, top),
+        ("hip_left", bulge), (waist, top + rise), ("waist", (0.0, top - rise)), (-waist, top + rise),
         ("hip_right", (-bulge[0], bulge[1])), (-hip, middle), "side_right",
     )  # fmt: skip
     return _front_and_back("skirt", front, s, ("side_left", "hip_left", "hip_right", "side_right"))
+
+
+def _rise(waist: float, top: float, towards: Point) -> float:
+    """How far above its middle a waistline, half of which is so long, ends in order to meet the side seam at a right angle [m]:
+    two panels that meet at more leave a notch, which the weight of the seam pulls down."""
+    return min(0.5 * waist * (towards[0] - waist) / (top - towards[1]), _MOST_RISE * waist)
 
 
 def _front_and_back(name: str, front: Outline, s: Sizes, seams: tuple[str, ...]) -> Pattern:
@@ -67,13 +76,15 @@ def _legs(name: str, s: Sizes, hem: float, hem_width: float) -> Pattern:
     apart = reach + 0.004 * s.height
     inner = max(axis - 0.5 * hem_width, apart - reach + 0.01 * s.height)
     outer = inner + hem_width
+    bulge = (hip + apart, level + 0.55 * (top - level))
+    rise = _rise(waist, top, (bulge[0] - apart, bulge[1]))
     front = Outline.of(
         (inner, hem), "hem", (outer, hem),
         ("outseam", (hip + apart, crotch - 0.3 * (crotch - hem))), (hip + apart, level),
-        ("hip", (hip + apart, level + 0.55 * (top - level))), (waist + apart, top), "waist",
+        ("hip", bulge), (waist + apart, top + rise), ("waist", (apart + 0.5 * waist, top)),
         (apart, top), ("rise", (apart, crotch + 0.25 * (top - crotch)), (apart, crotch)),
         (apart - reach, crotch), ("inseam", (apart - reach + 0.3 * (inner - apart + reach), 0.5 * (crotch + hem))),
-        grid=((inner, hem), (outer, hem), (waist + apart, top), (apart, top)),
+        grid=((inner, hem), (outer, hem), (waist + apart, top + rise), (apart, top)),
     )  # fmt: skip
     _, before, behind = depths(s)
     draft = Draft()

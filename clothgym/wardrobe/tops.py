@@ -17,6 +17,11 @@ _ABOVE_SHOULDERS = 0.02
 """[m] shoulder seams start this far above the shoulders."""
 _BESIDE_ARM = 0.012
 """[m] armpits start this far below the arms."""
+_CAP = 0.42
+"""Height of a sleeve's cap, over that which would be as long as the armhole. The armpit comes to lie beside the trunk, inwards
+of where it is drawn: a sleeve with the whole cap would begin above the shoulder and stand up there with its end."""
+_DROPPED = 1.25
+"""Shoulders of a garment with such sleeves end this much further out than the body's."""
 
 
 @dataclass(frozen=True)
@@ -146,10 +151,10 @@ def _with_sleeves(name: str, s: Sizes, cut: _Cut, share: float, cuff_ease: float
     """Sleeves down to a share of the arms' length."""
     draft = _sewn_body(s, cut)
     for side, arm in (("left", s.left_arm), ("right", s.right_arm)):
-        width = 2.0 * quarter(arm.upper_girth, 1.3)
+        width = 2.0 * quarter(arm.upper_girth, 1.4)
         edge = draft.outlines["front"].labels.index(f"armhole_{side}")
         hole = draft.panels["front"].length(edge)
-        start = math.sqrt(max(hole**2 / 1.07 - width**2, (0.3 * width) ** 2))
+        start = _CAP * math.sqrt(max(hole**2 / 1.07 - width**2, (0.3 * width) ** 2))
         at = max(share * arm.length, start + 0.04 * s.height)
         girths = np.interp(share, (0.0, 0.5, 1.0), (arm.upper_girth, arm.elbow_girth, arm.wrist_girth))
         half = sleeve_halves(arm, start, width, 2.0 * quarter(float(girths), cuff_ease), at)
@@ -184,6 +189,7 @@ def dress(s: Sizes) -> Pattern:
         0.022,
         0.065 * s.height,
         0.02 * s.height,
+        1.02,
         fitted=True,
     )
     return _sewn_body(s, cut).pattern("dress")
@@ -192,14 +198,14 @@ def dress(s: Sizes) -> Pattern:
 def t_shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the elbows."""
     cut = _Cut(
-        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.08), 1.04, 0.012, 0.05 * s.height, 0.012 * s.height
+        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.055 * s.height, 0.012 * s.height
     )
     return _with_sleeves("t_shirt", s, cut, 0.42, 1.45)
 
 
 def shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the wrists."""
-    cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), 1.04, 0.01, 0.045 * s.height, 0.012 * s.height)
+    cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.065 * s.height, 0.02 * s.height)
     return _with_sleeves("shirt", s, cut, 0.97, 1.7)
 
 

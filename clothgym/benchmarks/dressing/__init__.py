@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clothgym.benchmarks.dressing import collider, garments
+from clothgym.benchmarks.dressing import collider, garments, wearing
 from clothgym.benchmarks.frame import Benchmark, Case, Row
 from clothgym.benchmarks.report import Table
 
@@ -17,8 +17,8 @@ _NOTES = (
 
 
 def cases(quick: bool) -> list[Case]:
-    """Garments, then the collider by itself."""
-    return garments.cases(quick) + collider.cases(quick)
+    """Garments, what is worn, then the collider by itself."""
+    return garments.cases(quick) + wearing.cases(quick) + collider.cases(quick)
 
 
 def prepare() -> None:
@@ -29,12 +29,14 @@ def prepare() -> None:
 
 def run(parameters: dict[str, Any]) -> dict[str, Any]:
     """One case of `cases`."""
-    return (collider if parameters["kind"] in collider.KINDS else garments).run(parameters)
+    kind = parameters["kind"]
+    part = collider if kind in collider.KINDS else wearing if kind in wearing.KINDS else garments
+    return part.run(parameters)
 
 
 def tables(rows: list[Row]) -> list[Table]:
     """All tables that the rows are enough for."""
-    return garments.tables(rows) + collider.tables(rows)
+    return garments.tables(rows) + wearing.tables(rows) + collider.tables(rows)
 
 
 benchmark = Benchmark(
@@ -43,6 +45,7 @@ benchmark = Benchmark(
     cases=cases,
     run=run,
     tables=tables,
+    plots=wearing.plots,
     prepare=prepare,
     notes=_NOTES,
 )

@@ -25,11 +25,11 @@ PAPER_TABLE_2 = {"skirt": (336, 206.0), "trousers": (560, 334.0), "shirt": (544,
 """Vertices, and ms until the garment hangs."""
 BUDGET = {"skirt": 0.15, "trousers": 0.15, "shirt": 0.15, "dress": 0.4}
 """[s] without self-collision; three times that with it."""
-GRIDS = {"skirt": (24, 8), "trousers": (10, 15), "shirt": (17, 17), "dress": (32, 17)}
-"""(columns, rows) of the vertices of each panel: as near to the paper's counts as whole numbers are."""
+GRIDS = {"skirt": (14, 12), "trousers": (7, 20), "shirt": (16, 17), "dress": (16, 32)}
+"""(columns, rows) of the vertices of each panel: the paper's counts, in cells that are as nearly square as they allow."""
 PATTERN = {"skirt": "skirt", "trousers": "trousers", "shirt": "sleeveless_shirt", "dress": "dress"}
 
-_REPEATS = 9
+_REPEATS, _DRAPES = 9, 3
 _EXPLICIT = {"integrator": "symplectic_euler", "substeps": 0, "stretch_limit": 0.1}
 
 
@@ -84,20 +84,22 @@ def _kept(report: dict[str, Any]) -> dict[str, Any]:
     """What of a drape's report the rows keep."""
     names = (
         "worn", "at_rest", "hits", "seam_strain_p99", "strain_p99", "strain_max", "penetration_p999", "penetration_max",
-        "vertices", "panel_vertices", "simulated_seconds", "seconds", "attempts",
+        "contact_gap_median", "contact_gap_p99", "vertices", "panel_vertices", "simulated_seconds", "seconds", "attempts",
     )  # fmt: skip
     phases = {name: value for name, value in report.items() if name.endswith("_seconds")}
     return {name: report[name] for name in names if name in report} | phases
 
 
 def _table_2(parameters: dict[str, Any]) -> dict[str, Any]:
-    """The paper's garments in quads: twice, the second one is timed, since the first draws the body's maps."""
+    """The paper's garments in quads, time and again: the first one measures the body and draws its maps, of the others the
+    median is told, without the report, which takes as long as sewing."""
     name = parameters["garment"]
     settings: dict[str, Any] = {
         "mesher": "quads", "grid": GRIDS[name], "self_collision": parameters["self_collision"],
     }  # fmt: skip
-    reports = [drape(PATTERN[name], "female", **settings).report for _ in range(2)]
-    return _kept(reports[-1]) | {"first_seconds": reports[0]["seconds"]}
+    reports = [drape(PATTERN[name], "female", **settings).report for _ in range(1 + _DRAPES)]
+    ready = statistics.median(report["seconds"] - report["measure_seconds"] for report in reports[1:])
+    return _kept(reports[-1]) | {"ready_seconds": ready, "first_seconds": reports[0]["seconds"]}
 
 
 def _table_1(parameters: dict[str, Any]) -> dict[str, Any]:
@@ -201,14 +203,16 @@ def _table_2_shown(rows: list[Row]) -> Table:
         vertices, paper = PAPER_TABLE_2[name]
         budget = BUDGET[name] * (3.0 if own else 1.0)
         cells.append(
-            (name, "yes" if own else "no", r["panel_vertices"], vertices, r["seconds"], budget, paper / 1e3,
-             r["worn"], r["at_rest"], r["hits"], 100 * r["seam_strain_p99"], 1e3 * r["penetration_max"])
+            (name, "yes" if own else "no", r["panel_vertices"], vertices, r["ready_seconds"], budget, paper / 1e3,
+             r["worn"], r["at_rest"], r["hits"], 100 * r["seam_strain_p99"], 1e3 * r["penetration_max"],
+             1e3 * r["contact_gap_p99"])
         )  # fmt: skip
     columns = (
         "garment", "self-collision", "vertices", "paper's", "sewn and at rest [s]", "to reach [s]", "paper [s]", "worn",
-        "at rest", "hits", "seam strain p99 [%]", "deepest [mm]",
+        "at rest", "hits", "seam strain p99 [%]", "deepest [mm]", "off the body p99 [mm]",
     )  # fmt: skip
-    return Table("Table 2: quads, sewn and draped to rest", columns, cells, "the paper's time leaves the set-up out")
+    note = "on a body that was dressed before, without the report; the paper's time leaves the set-up out"
+    return Table("Table 2: quads, sewn and draped to rest", columns, cells, note)
 
 
 def _table_1_shown(rows: list[Row]) -> Table:

@@ -47,6 +47,8 @@ class Body:
         rebound: C_refl of eq. 12, the share of the approaching speed that a contact gives back, 0 to 1.
         limbs: paths that tell whether a garment is worn; a body of the package has its own.
         notes: one line each: what was found and done while reading, added to by what is found here.
+        parts: names of its parts, and the number (F,) of the part that each face belongs to; None: it is one. Forces are told
+            part by part, and boxes in object space have a tree for each. A body of the package has five.
         motion: how it moves, see `clothgym.motion`; None: it stands. The mesh is what it moves from; limbs stay there.
 
     Raises:
@@ -61,6 +63,7 @@ class Body:
     limbs: tuple[Limb, ...] = ()
     notes: tuple[str, ...] = ()
     motion: Motion | None = None
+    parts: Any = None
 
     def __post_init__(self) -> None:
         label = f"body {self.name!r}"
@@ -72,6 +75,8 @@ class Body:
                 )
             limbs = limbs or rig.load(given).limbs()
             given = rig.load(given)
+            if self.parts is None:
+                object.__setattr__(self, "parts", (rig.PARTS, given.face_parts()))
         points, triangles = copied(given, label)
         if len(triangles) < 4:
             raise ValueError(f"{label}: faces: {len(triangles)} given; a body needs at least four triangles")
@@ -81,6 +86,8 @@ class Body:
         for number, limb in enumerate(limbs):
             if not isinstance(limb, Limb):
                 raise ValueError(f"{label}: limbs[{number}] = {type(limb).__name__}: expected a Limb")
+        if self.parts is not None:
+            object.__setattr__(self, "parts", _parts(self.parts, len(triangles), label))
         triangles, found = _examined(points, triangles, label)
         notes = dict.fromkeys([*self.notes, *(f"{self.name}: {note}" for note in found)])
         object.__setattr__(self, "mesh", Mesh(read_only(points), read_only(triangles)))
@@ -107,18 +114,20 @@ class Body:
             "rebound": self.rebound,
             "limbs": [limb.to_json() for limb in self.limbs],
             **({} if self.motion is None else {"motion": self.motion.to_json()}),
+            **({} if self.parts is None else {"parts": [list(self.parts[0]), self.parts[1].tolist()]}),
         }
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Body:
         """Raises ValueError for missing or unknown fields, by name."""
         known = {"name", "vertices", "faces", "friction", "slide", "rebound", "limbs"}
-        if wrong := (set(values) - {"motion"}) ^ known:
+        if wrong := (set(values) - {"motion", "parts"}) ^ known:
             raise ValueError(f"body.{min(wrong)}: unknown or missing field; expected {', '.join(sorted(known))}")
         limbs = tuple(Limb.from_json(limb) for limb in values["limbs"])
         mesh = values["vertices"], values["faces"]
         motion = motions.from_json(values.get("motion"))
-        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs, motion=motion)
+        answer = values["friction"], values["slide"], values["rebound"]
+        return Body(mesh, values["name"], *answer, limbs, motion=motion, parts=values.get("parts"))
 
 
 @lru_cache(maxsize=8)
@@ -138,6 +147,17 @@ def named(bodies: Sequence[Body]) -> list[tuple[str, Body]]:
             name = f"{body.name} {count}"
         found[name] = body
     return list(found.items())
+
+
+def part_numbers(bodies: Sequence[Body]) -> tuple[tuple[str, ...], IntArray]:
+    """Names of the parts of all bodies, "body: part" where a body has several, and the part (F,) of each face of `joined`."""
+    names: list[str] = []
+    numbers = []
+    for name, body in named(bodies):
+        of_face = np.zeros(len(body.mesh.faces), np.int32) if body.parts is None else body.parts[1]
+        numbers.append(of_face + np.int32(len(names)))
+        names += [name] if body.parts is None else [f"{name}: {part}" for part in body.parts[0]]
+    return tuple(names), np.concatenate(numbers)
 
 
 def vertices_at(bodies: Sequence[Body], time: float) -> FloatArray:
@@ -185,7 +205,8 @@ def load(
                 f"body {source!r}: unit = {unit!r}, up = {up!r}: bodies of the package have metres and y up"
             )
         skinned = rig.load(source)
-        return Body((skinned.posed(pose), skinned.faces), name or source, limbs=skinned.limbs(pose))
+        parts = rig.PARTS, skinned.face_parts()
+        return Body((skinned.posed(pose), skinned.faces), name or source, limbs=skinned.limbs(pose), parts=parts)
     path = Path(source)
     if pose != "rest":
         raise ValueError(f"{path}: pose = {pose!r}: a mesh file has no skeleton; expected rest")
@@ -259,6 +280,21 @@ def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[F
         elif tall < 0.1:
             notes.append(f"{tall:g} units high, read as metres (unit=... to override)")
     return vertices * UNITS[unit], notes
+
+
+def _parts(given: Any, face_count: int, label: str) -> tuple[tuple[str, ...], IntArray]:
+    """Names and numbers of the parts, checked."""
+    if not isinstance(given, tuple | list) or len(given) != 2 or isinstance(given[0], str):
+        raise ValueError(f"{label}: parts: expected (names, the number of the part of each face)")
+    names, numbers = tuple(given[0]), np.array(given[1])
+    if not names or not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"{label}: parts: names = {given[0]!r}: expected texts that differ")
+    if numbers.shape != (face_count,) or numbers.dtype.kind not in "iu":
+        raise ValueError(f"{label}: parts: expected ({face_count},) whole numbers, got {numbers.dtype} {numbers.shape}")
+    if numbers.min() < 0 or numbers.max() >= len(names):
+        wrong = int(numbers[(numbers < 0) | (numbers >= len(names))][0])
+        raise ValueError(f"{label}: parts: number {wrong}: there are {len(names)} names")
+    return names, read_only(numbers.astype(np.int32))
 
 
 def _examined(points: FloatArray, faces: IntArray, label: str) -> tuple[IntArray, list[str]]:

@@ -264,22 +264,32 @@ def _in_views(x, y, z, start_x, start_y, start_z, came_from, body, two, three, t
     texel, side, distance = _plane_in(x, y, z, came_from & 3, body.one, body, tolerance, age)
     if two is not None and texel >= 0:  # None is left out when this is compiled
         passed = plane_distance(start_x, start_y, start_z, texel, side, body, age) >= 0.0
-        other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 2) & 3, two, body, tolerance, age)
-        if other < 0:
-            texel = -1
-        else:
-            also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
-            if (also and not passed) or (also == passed and other_distance > distance):
-                texel, side, distance, passed = other, other_side, other_distance, also
+        texel, side, distance, passed = _in_view_too(
+            x, y, z, start_x, start_y, start_z, (came_from >> 2) & 3, two, body, tolerance, age, texel, side, distance, passed
+        )
         if three is not None and texel >= 0:
-            other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 4) & 3, three, body, tolerance, age)
-            if other < 0:
-                texel = -1
-            else:
-                also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
-                if (also and not passed) or (also == passed and other_distance > distance):
-                    texel, side, distance = other, other_side, other_distance
+            texel, side, distance, passed = _in_view_too(
+                x, y, z, start_x, start_y, start_z, (came_from >> 4) & 3, three, body, tolerance, age, texel, side, distance,
+                passed,
+            )  # fmt: skip
     return texel, side, distance
+
+
+@bare
+def _in_view_too(
+    x, y, z, start_x, start_y, start_z, came_from, view, body, tolerance, age, texel, side, distance, passed
+):
+    """The better one of the plane that is known and that of one more view: none if this view sees the point outside.
+
+    `passed`: whether the point started outside of the known plane.
+    """
+    other, other_side, other_distance = _plane_in(x, y, z, came_from, view, body, tolerance, age)
+    if other < 0:
+        return -1, 0, 0.0, False
+    also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
+    if (also and not passed) or (also == passed and other_distance > distance):
+        return other, other_side, other_distance, also
+    return texel, side, distance, passed
 
 
 @kernel

@@ -47,7 +47,7 @@ class BodyContact(NamedTuple):
     rebound: float  # C_refl of eq. 12
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
-    texel: float  # [m] faces are tested at every texel of this size that they cover instead; 0 = at these points
+    texel: float | None  # [m] faces are tested at every texel of this size that they cover; None = at these points
     near_faces: NDArray  # (1 + F,) int32: how many faces are near the body, and which
     travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
@@ -93,17 +93,14 @@ def _look_around(x, p, contact, body, before):
         for i in range(x.shape[0]):
             contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], body, before)
         if contact.travel[0] > 0.5 * _LEEWAY or body.flow.shape[0] > 0:
-            _find_near_faces(p, contact, body)
+            _find_near_faces(p, contact, body, contact.texel)
             contact.travel[0] = 0.0
 
 
 @bare
-def _places(p, a, b, c, contact):
-    """Where a face (a, b, c) is looked at: how many places, and for `_weights` the axis along which its texels are seen, the
-    first column and row, the columns, and their size [m]."""
-    size = contact.texel
-    if size == 0.0:
-        return contact.face_points.shape[0], 0, 0, 0, 0, size
+def _cover(p, a, b, c, size):
+    """Texels that a face (a, b, c) may cover: how many, the axis along which they are seen, the first column and row, the
+    columns, and their size [m]."""
     ux, uy, uz = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
     vx, vy, vz = p[c, 0] - p[a, 0], p[c, 1] - p[a, 1], p[c, 2] - p[a, 2]
     nx, ny, nz = abs(uy * vz - uz * vy), abs(uz * vx - ux * vz), abs(ux * vy - uy * vx)
@@ -126,10 +123,8 @@ def _places(p, a, b, c, contact):
 
 
 @bare
-def _weights(n, p, a, b, c, contact, axis, column, row, columns, size):
-    """Barycentric weights of the n-th place of a face; the first is negative where a texel's middle lies beside the face."""
-    if contact.texel == 0.0:
-        return contact.face_points[n, 0], contact.face_points[n, 1], contact.face_points[n, 2]
+def _weights_at(n, p, a, b, c, axis, column, row, columns, size):
+    """Barycentric weights of the middle of the n-th of these texels; the first is negative if it lies beside the face."""
     u = (column + n % columns + 0.5) * size
     v = (row + n // columns + 0.5) * size
     ua, va, _ = view_point(p[a, 0], p[a, 1], p[a, 2], axis)
@@ -145,20 +140,25 @@ def _weights(n, p, a, b, c, contact, axis, column, row, columns, size):
 
 
 @bare
-def _find_near_faces(p, contact, body):
+def _find_near_faces(p, contact, body, texel_size):
     """Faces with a point near the body at p: most of a garment hangs free, and its sweeps need not look."""
+    points = contact.face_points
     age = contact.clock[0]
     count = 0
-    tested = contact.face_points.shape[0] > 0 or contact.texel > 0.0
-    for f in range(contact.faces.shape[0] if tested else 0):
+    places = points.shape[0]
+    for f in range(contact.faces.shape[0] if places > 0 else 0):
         a = contact.faces[f, 0]
         b = contact.faces[f, 1]
         c = contact.faces[f, 2]
-        places, axis, column, row, columns, size = _places(p, a, b, c, contact)
+        if texel_size is not None:
+            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size)
         for n in range(places):
-            wa, wb, wc = _weights(n, p, a, b, c, contact, axis, column, row, columns, size)
-            if wa < 0.0:
-                continue
+            if texel_size is not None:
+                wa, wb, wc = _weights_at(n, p, a, b, c, axis, column, row, columns, size)
+                if wa < 0.0:
+                    continue
+            else:
+                wa, wb, wc = points[n, 0], points[n, 1], points[n, 2]
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
@@ -216,9 +216,8 @@ def _hold_back(x, p, contact, i):
 
 
 @bare
-def _push(contact, v, weight, amount, nx, ny, nz, ux, uy, uz):
+def _push(pushes, v, weight, amount, nx, ny, nz, ux, uy, uz):
     """What a point of the cloth asks of one of its vertices; the surface there moves with u."""
-    pushes = contact.pushes
     pushes[v, 0] += amount * weight * nx
     pushes[v, 1] += amount * weight * ny
     pushes[v, 2] += amount * weight * nz
@@ -246,11 +245,13 @@ def _give_pushes(p, inverse_masses, contact, dt):
 
 
 @bare
-def _test_faces(starts, p, inverse_masses, contact, body, dt):
+def _test_faces(starts, p, inverse_masses, contact, body, texel_size, dt):
     """Points of each face inside the body push its corners by their weights."""
     pushes = contact.pushes
     pushes[:] = 0.0
     found = False
+    points = contact.face_points
+    places = points.shape[0]
     age = contact.clock[0]
     planes = body.planes
     flow = body.flow
@@ -262,11 +263,15 @@ def _test_faces(starts, p, inverse_masses, contact, body, dt):
         from_side = contact.side[a]
         # of each view, what all corners have in common: bits of front and back cancel
         from_side &= contact.side[b] & contact.side[c]
-        places, axis, column, row, columns, cell = _places(p, a, b, c, contact)
+        if texel_size is not None:
+            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size)
         for n in range(places):
-            wa, wb, wc = _weights(n, p, a, b, c, contact, axis, column, row, columns, cell)
-            if wa < 0.0:
-                continue
+            if texel_size is not None:
+                wa, wb, wc = _weights_at(n, p, a, b, c, axis, column, row, columns, size)
+                if wa < 0.0:
+                    continue
+            else:
+                wa, wb, wc = points[n, 0], points[n, 1], points[n, 2]
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
@@ -285,9 +290,9 @@ def _test_faces(starts, p, inverse_masses, contact, body, dt):
             if flow.shape[0] > 0:
                 at = 3 * side
                 ux, uy, uz = np.float64(flow[texel, at]), np.float64(flow[texel, at + 1]), np.float64(flow[texel, at + 2])
-            _push(contact, a, wa, amount, nx, ny, nz, ux, uy, uz)
-            _push(contact, b, wb, amount, nx, ny, nz, ux, uy, uz)
-            _push(contact, c, wc, amount, nx, ny, nz, ux, uy, uz)
+            _push(pushes, a, wa, amount, nx, ny, nz, ux, uy, uz)
+            _push(pushes, b, wb, amount, nx, ny, nz, ux, uy, uz)
+            _push(pushes, c, wc, amount, nx, ny, nz, ux, uy, uz)
     if found:
         _give_pushes(p, inverse_masses, contact, dt)
 
@@ -308,8 +313,8 @@ def _keep_off(x, p, inverse_masses, contact, body, found, dt):
 
 @bare
 def _keep_off_maps(x, p, inverse_masses, contact, body, dt):
-    if contact.face_points.shape[0] > 0 or contact.texel > 0.0:
-        _test_faces(x, p, inverse_masses, contact, body, dt)
+    if contact.face_points.shape[0] > 0:
+        _test_faces(x, p, inverse_masses, contact, body, contact.texel, dt)
     age = contact.clock[0]
     planes = body.planes
     flow = body.flow
@@ -333,7 +338,8 @@ def _keep_off_maps(x, p, inverse_masses, contact, body, dt):
 @bare
 def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
     """The same against what a collider in object space has found."""
-    contact.pushes[:] = 0.0
+    pushes = contact.pushes
+    pushes[:] = 0.0
     corners = found.corners
     weights = found.weights
     planes = found.point_planes
@@ -354,11 +360,11 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
         nx, ny, nz = planes[n, 0], planes[n, 1], planes[n, 2]
         # of an edge's point one corner has no part in it, and asks for nothing
         if wa > 0.0:
-            _push(contact, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+            _push(pushes, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
         if wb > 0.0:
-            _push(contact, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+            _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
         if wc > 0.0:
-            _push(contact, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+            _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
     if found.count[0] > 0:
         _give_pushes(p, inverse_masses, contact, dt)
     for i in range(p.shape[0]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -50,10 +50,10 @@ def face_points(parts: int) -> FloatArray:
 
 
 def body_contact(
-    near: BodyMap | BodyPlanes, faces: IntArray, vertex_count: int, tolerance: float, face_parts: int, **answer: float
+    near: BodyMap | BodyPlanes, faces: IntArray, vertex_count: int, tolerance: float, face_parts: int, **answer: Any
 ) -> BodyContact:
     """What sweeps need against a map, or against planes that were found; `answer` gives friction, slide, rebound and texel,
-    without it 0, 1, 0 and 0."""
+    without it 0, 1, 0 and None."""
     return BodyContact(
         map=near if isinstance(near, BodyMap) else None,
         found=near if isinstance(near, BodyPlanes) else None,
@@ -65,7 +65,7 @@ def body_contact(
         rebound=float(answer.get("rebound", 0.0)),
         faces=np.ascontiguousarray(faces, np.int32),
         face_points=face_points(face_parts),
-        texel=float(answer.get("texel", 0.0)),
+        texel=answer.get("texel"),
         near_faces=np.zeros(1 + len(faces), np.int32),
         clock=np.zeros(1),
         travel=np.full(1, np.inf),
@@ -117,10 +117,10 @@ class BodyResponse:
         self.bodies, self.moving, self.step = bodies, model.scene.moving, model.scene.step
         near = self._collider(model, fidelity)
         # finer than what cloth keeps away nothing can poke through
-        texel = max(self.maps.pixel, fidelity.body_tolerance) if fidelity.body_texels else 0.0
+        texel = max(self.maps.pixel, fidelity.body_tolerance) if fidelity.body_texels else None
         self.label += f", {fidelity.body_response}"
         self.label += self._moves if self.moving else ""
-        if texel > 0.0:
+        if texel is not None:
             self.label += ", faces by texels"
         elif fidelity.body_faces and fidelity.body_collider != "dop":
             self.label += f", {fidelity.body_faces**2} points a face"
@@ -130,7 +130,7 @@ class BodyResponse:
             model.faces,
             model.vertex_count,
             fidelity.body_tolerance,
-            fidelity.body_faces,
+            fidelity.body_faces if texel is None else 1,
             friction=float(np.mean([body.friction for body in bodies])) if coulomb else 0.0,
             slide=1.0 if coulomb else float(np.mean([body.slide for body in bodies])),
             rebound=float(np.mean([body.rebound for body in bodies])),

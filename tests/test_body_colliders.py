@@ -148,8 +148,9 @@ def test_a_garment_hangs_alike():
         mean = np.mean(forces[2:], axis=0)
         of = dict(zip(sim.body_parts, mean.tolist()))
         assert mean.sum(axis=0) == pytest.approx([0.0, weight(sim), 0.0], abs=0.01 * weight(sim)), collider
-        assert of["female: trunk"][1] > 0.8 * weight(sim), of
-        assert of["female: left_leg"] == of["female: right_leg"] == [0.0, 0.0, 0.0]
+        upper = sum(of[f"female: {part}"][1] for part in ("trunk", "left_arm", "right_arm"))
+        assert upper == pytest.approx(weight(sim), rel=0.02), of
+        assert 0.5 * upper < of["female: trunk"][1] < upper, "the rest hangs on the caps of the arms"
         moved = np.linalg.norm(sim.positions - x, axis=1)
         assert np.sqrt((moved**2).mean()) < 2e-3, (collider, moved.max())
         assert sim.body_mesh.penetration(sim.positions, sim.faces).max() < 2e-3
@@ -208,7 +209,7 @@ def test_edges_and_vertices_of_the_body_hold_what_vertices_of_the_cloth_do_not()
     deep = {}
     for name, fidelity in {
         "vertices": {"body_faces": 0},
-        "dop": {"body_collider": "dop"},
+        "dop": {"collider": "dop"},
         "texels": {"body_texels": True, "body_faces": 0},
     }.items():
         sim = run(sheet(0.24, 2, (0.035, 0.106, 0.023)), [cg.Body(spike(), friction=1.0)], material=FREE, **fidelity)
@@ -264,7 +265,7 @@ def test_without_bodies_there_are_no_parts():
         (("left",), "expected \\(names, the number"),
         ((("a", "a"), np.zeros(12, int)), "names = \\('a', 'a'\\)"),
         ((("a", "b"), np.zeros(11, int)), "expected \\(12,\\) whole numbers"),
-        ((("a", "b"), np.zeros(12)), "whole numbers, got float64"),
+        ((("a", "b"), np.zeros(12)), "expected \\(12,\\) whole numbers, got float64"),
         ((("a", "b"), np.full(12, 2)), "number 2: there are 2 names"),
     ],
 )

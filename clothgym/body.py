@@ -184,7 +184,8 @@ def load(
     Of a file, all parts are taken as one surface and vertices at exactly the same place become one.
 
     Args:
-        source: "female", "male", or a file of any mesh format that trimesh reads.
+        source: "female", "male", or a file of any mesh format that trimesh reads; a folder of such or an .npz is a body that
+            moves, see `body_sequence.load`.
         pose: one of `rig.poses()`; a file has no skeleton and knows "rest" only.
         unit: unit of the file, one of `UNITS`; default: metres up to a height of 10, else centimetres, from 600 on
             millimetres, and a note.
@@ -210,26 +211,37 @@ def load(
     path = Path(source)
     if pose != "rest":
         raise ValueError(f"{path}: pose = {pose!r}: a mesh file has no skeleton; expected rest")
-    vertices, faces = _read(path)
-    vertices, faces = _merged(vertices, faces)
-    vertices, notes = _in_world(vertices, unit, up)
+    if path.is_dir() or path.suffix.lower() in (".npz", ".npy"):
+        from clothgym import body_sequence
+
+        return body_sequence.load(path, unit=unit, up=up, name=name)
+    vertices, faces = merged(*read(path))
+    unit, up, notes = decide(vertices, unit, up)
     try:
-        return Body((vertices, faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
+        return Body((in_world(vertices, unit, up), faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _read(path: Path) -> tuple[FloatArray, IntArray]:
+def formats() -> list[str]:
+    """Endings of the meshes that can be read, without the dot."""
+    import trimesh
+
+    return sorted(set(trimesh.available_formats()) - _NO_SURFACES)
+
+
+def read(path: Path) -> tuple[FloatArray, IntArray]:
     """Vertices and triangles of a file as they stand there; files beside it (materials, textures) are not opened."""
     if not path.is_file():
         raise ValueError(f"{path}: no such file, and no body of the package ({', '.join(rig.NAMES)})")
     import trimesh
 
     ending = path.suffix.lstrip(".").lower()
-    known = sorted(set(trimesh.available_formats()) - _NO_SURFACES)
+    known = formats()
     if ending not in known:
         raise ValueError(f"{path}: cannot read {path.suffix or 'a file without ending'!r}: expected {', '.join(known)}")
-    options: dict[str, Any] = {"skip_materials": True} if ending == "obj" else {}
+    # texture seams must not multiply vertices: those of a sequence are told by their order in the file
+    options: dict[str, Any] = {"skip_materials": True, "maintain_order": True} if ending == "obj" else {}
     try:
         mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type=ending, process=False, **options)
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -245,8 +257,8 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Vertices at exactly the same place as one, faces that lose a corner by that and unused vertices left out; order of
+def merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Vertices (V, ...) at exactly the same place, or places, as one, faces that lose a corner by that and unused vertices left out; order of
     first use stays."""
     _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
     joined = first[inverse.ravel()][faces]
@@ -255,11 +267,11 @@ def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray
     return vertices[used], np.ascontiguousarray(renumbered.reshape(-1, 3), np.int32)
 
 
-def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[FloatArray, list[str]]:
-    """Vertices [m] with y up, and what was decided."""
+def decide(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[str, str, list[str]]:
+    """Unit and axis that points up of what a file holds, where they are not given, and what was decided."""
     notes: list[str] = []
     if len(vertices) == 0:
-        return vertices, notes  # `Body` says what is missing
+        return unit or "m", up or "y", notes  # `Body` says what is missing
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
     if up is None:
@@ -269,8 +281,6 @@ def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[F
             up = "z" if stands else "y"
             reason = f"{size[2]:g} long along z, {size[1]:g} along y"
             notes.append(f"{reason}: read with {up} up (up='{'y' if stands else 'z'}' to override)")
-    if up == "z":
-        vertices = np.ascontiguousarray(vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0))
     tall = float(size[2] if up == "z" else size[1])
     if unit is None:
         unit = "m" if tall <= 10.0 else ("cm" if tall < 600.0 else "mm")
@@ -279,7 +289,14 @@ def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[F
             notes.append(f"{tall:g} units high, read as {words[unit]} (unit='m' to override)")
         elif tall < 0.1:
             notes.append(f"{tall:g} units high, read as metres (unit=... to override)")
-    return vertices * UNITS[unit], notes
+    return unit, up, notes
+
+
+def in_world(vertices: FloatArray, unit: str, up: str) -> FloatArray:
+    """Vertices (..., 3) [m] with y up."""
+    if up == "z":
+        vertices = np.ascontiguousarray(vertices[..., [0, 2, 1]] * (1.0, 1.0, -1.0))
+    return vertices * UNITS[unit]
 
 
 def _parts(given: Any, face_count: int, label: str) -> tuple[tuple[str, ...], IntArray]:

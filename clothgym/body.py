@@ -47,6 +47,8 @@ class Body:
         rebound: C_refl of eq. 12, the share of the approaching speed that a contact gives back, 0 to 1.
         limbs: paths that tell whether a garment is worn; a body of the package has its own.
         notes: one line each: what was found and done while reading, added to by what is found here.
+        parts: names of its parts, and the number (F,) of the part that each face belongs to; None: it is one. Forces are told
+            part by part, and boxes in object space have a tree for each. A body of the package has five.
         motion: how it moves, see `clothgym.motion`; None: it stands. The mesh is what it moves from; limbs stay there.
 
     Raises:
@@ -61,6 +63,7 @@ class Body:
     limbs: tuple[Limb, ...] = ()
     notes: tuple[str, ...] = ()
     motion: Motion | None = None
+    parts: Any = None
 
     def __post_init__(self) -> None:
         label = f"body {self.name!r}"
@@ -72,6 +75,8 @@ class Body:
                 )
             limbs = limbs or rig.load(given).limbs()
             given = rig.load(given)
+            if self.parts is None:
+                object.__setattr__(self, "parts", (rig.PARTS, given.face_parts()))
         points, triangles = copied(given, label)
         if len(triangles) < 4:
             raise ValueError(f"{label}: faces: {len(triangles)} given; a body needs at least four triangles")
@@ -81,6 +86,8 @@ class Body:
         for number, limb in enumerate(limbs):
             if not isinstance(limb, Limb):
                 raise ValueError(f"{label}: limbs[{number}] = {type(limb).__name__}: expected a Limb")
+        if self.parts is not None:
+            object.__setattr__(self, "parts", _parts(self.parts, len(triangles), label))
         triangles, found = _examined(points, triangles, label)
         notes = dict.fromkeys([*self.notes, *(f"{self.name}: {note}" for note in found)])
         object.__setattr__(self, "mesh", Mesh(read_only(points), read_only(triangles)))
@@ -107,18 +114,20 @@ class Body:
             "rebound": self.rebound,
             "limbs": [limb.to_json() for limb in self.limbs],
             **({} if self.motion is None else {"motion": self.motion.to_json()}),
+            **({} if self.parts is None else {"parts": [list(self.parts[0]), self.parts[1].tolist()]}),
         }
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Body:
         """Raises ValueError for missing or unknown fields, by name."""
         known = {"name", "vertices", "faces", "friction", "slide", "rebound", "limbs"}
-        if wrong := (set(values) - {"motion"}) ^ known:
+        if wrong := (set(values) - {"motion", "parts"}) ^ known:
             raise ValueError(f"body.{min(wrong)}: unknown or missing field; expected {', '.join(sorted(known))}")
         limbs = tuple(Limb.from_json(limb) for limb in values["limbs"])
         mesh = values["vertices"], values["faces"]
         motion = motions.from_json(values.get("motion"))
-        return Body(mesh, values["name"], values["friction"], values["slide"], values["rebound"], limbs, motion=motion)
+        answer = values["friction"], values["slide"], values["rebound"]
+        return Body(mesh, values["name"], *answer, limbs, motion=motion, parts=values.get("parts"))
 
 
 @lru_cache(maxsize=8)
@@ -138,6 +147,17 @@ def named(bodies: Sequence[Body]) -> list[tuple[str, Body]]:
             name = f"{body.name} {count}"
         found[name] = body
     return list(found.items())
+
+
+def part_numbers(bodies: Sequence[Body]) -> tuple[tuple[str, ...], IntArray]:
+    """Names of the parts of all bodies, "body: part" where a body has several, and the part (F,) of each face of `joined`."""
+    names: list[str] = []
+    numbers = []
+    for name, body in named(bodies):
+        of_face = np.zeros(len(body.mesh.faces), np.int32) if body.parts is None else body.parts[1]
+        numbers.append(of_face + np.int32(len(names)))
+        names += [name] if body.parts is None else [f"{name}: {part}" for part in body.parts[0]]
+    return tuple(names), np.concatenate(numbers)
 
 
 def vertices_at(bodies: Sequence[Body], time: float) -> FloatArray:
@@ -164,7 +184,8 @@ def load(
     Of a file, all parts are taken as one surface and vertices at exactly the same place become one.
 
     Args:
-        source: "female", "male", or a file of any mesh format that trimesh reads.
+        source: "female", "male", or a file of any mesh format that trimesh reads; a folder of such or an .npz is a body that
+            moves, see `body_sequence.load`.
         pose: one of `rig.poses()`; a file has no skeleton and knows "rest" only.
         unit: unit of the file, one of `UNITS`; default: metres up to a height of 10, else centimetres, from 600 on
             millimetres, and a note.
@@ -188,11 +209,14 @@ def load(
     path = Path(source)
     if pose != "rest":
         raise ValueError(f"{path}: pose = {pose!r}: a mesh file has no skeleton; expected rest")
-    vertices, faces = _read(path)
-    vertices, faces = _merged(vertices, faces)
-    vertices, notes = _in_world(vertices, unit, up)
+    if path.is_dir() or path.suffix.lower() in (".npz", ".npy"):
+        from clothgym import body_sequence
+
+        return body_sequence.load(path, unit=unit, up=up, name=name)
+    vertices, faces = merged(*read(path))
+    unit, up, notes = decide(vertices, unit, up)
     try:
-        return Body((vertices, faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
+        return Body((in_world(vertices, unit, up), faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -201,20 +225,29 @@ def load(
 def _of_package(source: str, pose: str, name: str) -> Body:
     """Kept, so that its sizes, maps and exact surface are found once."""
     skinned = rig.load(source)
-    return Body((skinned.posed(pose), skinned.faces), name, limbs=skinned.limbs(pose))
+    parts = rig.PARTS, skinned.face_parts()
+    return Body((skinned.posed(pose), skinned.faces), name, limbs=skinned.limbs(pose), parts=parts)
 
 
-def _read(path: Path) -> tuple[FloatArray, IntArray]:
+def formats() -> list[str]:
+    """Endings of the meshes that can be read, without the dot."""
+    import trimesh
+
+    return sorted(set(trimesh.available_formats()) - _NO_SURFACES)
+
+
+def read(path: Path) -> tuple[FloatArray, IntArray]:
     """Vertices and triangles of a file as they stand there; files beside it (materials, textures) are not opened."""
     if not path.is_file():
         raise ValueError(f"{path}: no such file, and no body of the package ({', '.join(rig.NAMES)})")
     import trimesh
 
     ending = path.suffix.lstrip(".").lower()
-    known = sorted(set(trimesh.available_formats()) - _NO_SURFACES)
+    known = formats()
     if ending not in known:
         raise ValueError(f"{path}: cannot read {path.suffix or 'a file without ending'!r}: expected {', '.join(known)}")
-    options: dict[str, Any] = {"skip_materials": True} if ending == "obj" else {}
+    # texture seams must not multiply vertices: those of a sequence are told by their order in the file
+    options: dict[str, Any] = {"skip_materials": True, "maintain_order": True} if ending == "obj" else {}
     try:
         mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type=ending, process=False, **options)
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -230,8 +263,8 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Vertices at exactly the same place as one, faces that lose a corner by that and unused vertices left out; order of
+def merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Vertices (V, ...) at exactly the same place, or places, as one, faces that lose a corner by that and unused vertices left out; order of
     first use stays."""
     _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
     joined = first[inverse.ravel()][faces]
@@ -240,11 +273,11 @@ def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray
     return vertices[used], np.ascontiguousarray(renumbered.reshape(-1, 3), np.int32)
 
 
-def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[FloatArray, list[str]]:
-    """Vertices [m] with y up, and what was decided."""
+def decide(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[str, str, list[str]]:
+    """Unit and axis that points up of what a file holds, where they are not given, and what was decided."""
     notes: list[str] = []
     if len(vertices) == 0:
-        return vertices, notes  # `Body` says what is missing
+        return unit or "m", up or "y", notes  # `Body` says what is missing
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
     if up is None:
@@ -254,8 +287,6 @@ def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[F
             up = "z" if stands else "y"
             reason = f"{size[2]:g} long along z, {size[1]:g} along y"
             notes.append(f"{reason}: read with {up} up (up='{'y' if stands else 'z'}' to override)")
-    if up == "z":
-        vertices = np.ascontiguousarray(vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0))
     tall = float(size[2] if up == "z" else size[1])
     if unit is None:
         unit = "m" if tall <= 10.0 else ("cm" if tall < 600.0 else "mm")
@@ -264,7 +295,29 @@ def _in_world(vertices: FloatArray, unit: str | None, up: str | None) -> tuple[F
             notes.append(f"{tall:g} units high, read as {words[unit]} (unit='m' to override)")
         elif tall < 0.1:
             notes.append(f"{tall:g} units high, read as metres (unit=... to override)")
-    return vertices * UNITS[unit], notes
+    return unit, up, notes
+
+
+def in_world(vertices: FloatArray, unit: str, up: str) -> FloatArray:
+    """Vertices (..., 3) [m] with y up."""
+    if up == "z":
+        vertices = np.ascontiguousarray(vertices[..., [0, 2, 1]] * (1.0, 1.0, -1.0))
+    return vertices * UNITS[unit]
+
+
+def _parts(given: Any, face_count: int, label: str) -> tuple[tuple[str, ...], IntArray]:
+    """Names and numbers of the parts, checked."""
+    if not isinstance(given, tuple | list) or len(given) != 2 or isinstance(given[0], str):
+        raise ValueError(f"{label}: parts: expected (names, the number of the part of each face)")
+    names, numbers = tuple(given[0]), np.array(given[1])
+    if not names or not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"{label}: parts: names = {given[0]!r}: expected texts that differ")
+    if numbers.shape != (face_count,) or numbers.dtype.kind not in "iu":
+        raise ValueError(f"{label}: parts: expected ({face_count},) whole numbers, got {numbers.dtype} {numbers.shape}")
+    if numbers.min() < 0 or numbers.max() >= len(names):
+        wrong = int(numbers[(numbers < 0) | (numbers >= len(names))][0])
+        raise ValueError(f"{label}: parts: number {wrong}: there are {len(names)} names")
+    return names, read_only(numbers.astype(np.int32))
 
 
 def _examined(points: FloatArray, faces: IntArray, label: str) -> tuple[IntArray, list[str]]:

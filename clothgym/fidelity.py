@@ -20,6 +20,7 @@ DETECTIONS = ("hierarchy", "brute_force", "mezger")
 INFLATIONS = ("unoriented", "oriented", "conservative", "swept")
 CONES = ("none", "mezger", "exact")
 BUILD_SPACES = ("pose", "pattern")
+BODY_COLLIDERS = ("maps", "boxes", "dop")
 BODY_VIEWS = ("auto", "z", "y", "x", "zy", "zx", "yx", "zyx")
 BODY_RESPONSES = ("coulomb", "velocity")
 BODY_NORMALS = ("face", "interpolated", "bytes")
@@ -74,6 +75,7 @@ _WORKS_WITH = {
     "close_angle": ("cones", ("mezger",)),
     "leaf_angle": ("cones", ("mezger",)),
     "wide_angle": ("inflation", ("oriented", "conservative")),
+    **dict.fromkeys(("map_size", "body_texels", "body_normals", "body_views"), ("body_collider", ("maps",))),
 }
 """Fields that would do nothing but with these values of another."""
 
@@ -159,10 +161,15 @@ class Fidelity:
             keeps the distance that there is, without regaining the thickness.
         yield_force: [N] a contact, for "yield".
         rings: how many edges around a hit count as beside it.
+        body_collider: what tells cloth where bodies are: "maps" in image space, asked in every sweep; or what stands for the
+            alternatives, asked before the sweeps of a substep: "boxes" in object space, as [Vassilev 2001] compares (body_faces
+            as with maps), or "dop": the k-DOP tree, with vertices against faces both ways and edges against edges.
         map_size: texels of the body's maps along its longer side; finer maps follow the body more closely.
         body_tolerance: distance that vertices keep from the body [m].
         body_faces: n: faces are tested against the body too, at half the tolerance, at the midpoints of the n^2 equal
             triangles in each; 0 = vertices only, 1 = as the paper, more where the body is sharper than the cloth is fine.
+        body_texels: faces are drawn into the maps instead, and tested at every texel that they cover: nothing that the maps
+            show pokes through a face, however coarse the cloth is [Vassilev 2001, future work].
         body_normals: planes of the body from its "face"s, which join, so that cloth comes to rest on them, or with
             "interpolated" normals [Vassilev 2001, 5.2], which are smoother but jump by some 0.03 mm between texels, or these
             as "bytes" of a colour [Vassilev 2001, eq. 6 and 7], off by up to 0.4 of a degree.
@@ -216,9 +223,11 @@ class Fidelity:
     contacts_near_hits: str = "off_any"
     yield_force: float = 0.02
     rings: int = 1
+    body_collider: str = "maps"
     map_size: int = 360
     body_tolerance: float = 3e-3
     body_faces: int = 3
+    body_texels: bool = False
     body_normals: str = "face"
     body_views: str = "auto"
     body_response: str = "coulomb"
@@ -234,6 +243,7 @@ class Fidelity:
         check_choice(self.cones, "fidelity.cones", CONES)
         check_choice(self.build_space, "fidelity.build_space", BUILD_SPACES)
         check_choice(self.contacts_near_hits, "fidelity.contacts_near_hits", CONTACTS_NEAR_HITS)
+        check_choice(self.body_collider, "fidelity.body_collider", BODY_COLLIDERS)
         check_choice(self.body_normals, "fidelity.body_normals", BODY_NORMALS)
         check_choice(self.body_views, "fidelity.body_views", BODY_VIEWS)
         check_choice(self.body_response, "fidelity.body_response", BODY_RESPONSES)
@@ -245,7 +255,7 @@ class Fidelity:
             if not isinstance(value, int | float | np.number) or isinstance(value, bool) or value not in choices:
                 raise ValueError(f"fidelity.{field} = {shown(value)}: expected one of {', '.join(map(str, choices))}")
             object.__setattr__(self, field, int(getattr(self, field)))
-        for field in ("flat_check", "continuous", "untangle_bodies"):
+        for field in ("flat_check", "continuous", "untangle_bodies", "body_texels"):
             object.__setattr__(self, field, check_flag(getattr(self, field), f"fidelity.{field}"))
         if not isinstance(self.untangling, str) or not self.untangling:
             raise ValueError(f"fidelity.untangling = {shown(self.untangling)}: expected the name of a strategy")

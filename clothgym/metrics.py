@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothgym.arrays import FloatArray
+from clothgym.arrays import FloatArray, IntArray
 from clothgym.kernels.elastic import elastic_energy
 from clothgym.model import ClothModel
 from clothgym.state import ClothState
+
+if TYPE_CHECKING:
+    from clothgym.detection.body_mesh import BodyMesh
 
 STRETCH = 0.5
 """A strain above this, or below minus this, is flagged."""
@@ -52,6 +56,15 @@ def gravity_energy(model: ClothModel, x: FloatArray) -> float:
     """[J] of the vertices that can move; zero at the origin."""
     free = model.inverse_masses > 0
     return -float((model.masses[free] * (x[free] @ np.asarray(model.scene.gravity))).sum())
+
+
+def contact_force(forces: FloatArray, x: FloatArray, body: BodyMesh, part_of_face: IntArray, parts: int) -> FloatArray:
+    """(P, 3) [N] sum of the forces (V, 3) on cloth at x (V, 3), by the part of the body's surface nearest to each vertex."""
+    total = np.zeros((parts, 3))
+    touched = np.flatnonzero(forces.any(axis=1))
+    if len(touched):
+        np.add.at(total, part_of_face[body.closest(x[touched])[1]], forces[touched])
+    return total
 
 
 def potential_energy(model: ClothModel, x: FloatArray) -> float:

@@ -77,9 +77,7 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
         stages.append(Wind(model))
     body: Any = None
     if scene.bodies:
-        from clothgym.response.body import BodyResponse
-
-        body = BodyResponse(model, fidelity)
+        body = _body_response(model, fidelity)
     if not scene.self_collision:
         stages.append(IntegrateOnBody(step, body, windy) if body else Integrate(step, windy))
         return Pipeline(tuple(stages), step.substeps, step.dt)
@@ -116,6 +114,17 @@ def assemble(model: ClothModel, fidelity: Fidelity) -> Pipeline:
     if drive:
         stages[-1].follow(drive)  # type: ignore[attr-defined]
     return Pipeline(tuple(stages), step.substeps, step.dt, tree)
+
+
+def _body_response(model: ClothModel, fidelity: Fidelity) -> Any:
+    """What keeps cloth off the bodies."""
+    if fidelity.body_collider == "maps":
+        from clothgym.response.body import BodyResponse
+
+        return BodyResponse(model, fidelity)
+    from clothgym.response import body_surface
+
+    return body_surface.COLLIDERS[fidelity.body_collider](model, fidelity)
 
 
 def _detector(model: ClothModel, fidelity: Fidelity) -> Any:

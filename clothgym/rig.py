@@ -24,6 +24,10 @@ from clothgym.arrays import FloatArray, IntArray, as_points, check_choice, read_
 NAMES = ("female", "male")
 ARM_BONES = ("upperarm", "lowerarm", "hand", "thumb", "index", "middle", "ring", "pinky")
 """How the names of the bones of an arm begin."""
+LEG_BONES = ("thigh", "calf", "foot", "ball")
+"""The same of a leg."""
+PARTS = ("trunk", "left_arm", "right_arm", "left_leg", "right_leg")
+"""What `Rig.face_parts` numbers; the head belongs to the trunk."""
 
 _KEPT_WEIGHTS = 4
 _BEYOND = 1.0
@@ -214,6 +218,20 @@ class Rig:
             np.einsum("bij,bj->bi", turns, self.head) + shifts,
             np.einsum("bij,bj->bi", turns, self.tail) + shifts,
         )
+
+    def face_parts(self) -> IntArray:
+        """(F,) which of `PARTS` each face belongs to: the five of [Vassilev 2001, 6]."""
+        of_bone = np.zeros(len(self.bones), np.int32)
+        for number, name in enumerate(self.bones):
+            right = name.endswith("_r")
+            if name.startswith(ARM_BONES):
+                of_bone[number] = 2 if right else 1
+            elif name.startswith(LEG_BONES):
+                of_bone[number] = 4 if right else 3
+        owner = of_bone[np.asarray(self.weights).argmax(axis=1)]
+        corners = owner[self.faces]
+        found: IntArray = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0]).astype(np.int32)
+        return found
 
     def limbs(self, pose: str | Mapping[str, Any] = "rest") -> tuple[Limb, ...]:
         """Paths of head, left arm, right arm, left leg and right leg from the chest outwards, along the posed bones.

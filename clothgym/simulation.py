@@ -158,6 +158,29 @@ class Simulation:
         return read_only(self._body_forces)
 
     @property
+    def body_parts(self) -> tuple[str, ...]:
+        """Names (P,) of what `contact_force` tells apart: bodies, or "body: part"."""
+        return self._body_parts()[0]
+
+    def contact_force(self) -> FloatArray:
+        """(P, 3) [N] mean force of each body part on the cloth over the last step; their sum is that of `body_forces`.
+
+        A vertex was pushed by the part whose surface is nearest to it. Costs nothing unless it is called.
+        """
+        if not self.scene.bodies:
+            return np.zeros((0, 3))
+        names, part_of_face = self._body_parts()
+        x = self._state.positions
+        return metrics.contact_force(self._body_forces, x, self.body_mesh, part_of_face, len(names))
+
+    def _body_parts(self) -> Any:
+        if not hasattr(self, "_parts"):
+            from clothgym.body import part_numbers
+
+            self._parts = part_numbers(self.scene.bodies) if self.scene.bodies else ((), np.zeros(0, np.int32))
+        return self._parts
+
+    @property
     def body_mesh(self) -> Any:
         """The bodies' true surface now, a `detection.body_mesh.BodyMesh`: exact distances, for measuring.
 
@@ -361,7 +384,7 @@ class Simulation:
         slices = {id(cloth): vertices for cloth, (_, vertices, _) in zip(old_scene.cloths, old_ranges)}
         self.scene, self.model = scene, ClothModel(scene, self.fidelity)
         self.pipeline = assemble(self.model, self.fidelity)
-        for kept in ("_looking_tree", "_body_mesh"):  # made for the old scene
+        for kept in ("_looking_tree", "_body_mesh", "_parts"):  # made for the old scene
             self.__dict__.pop(kept, None)
         self.reset()
         new, number = self._state, np.full(len(old.positions), -1)

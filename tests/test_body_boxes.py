@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from clothgym import rig
-from clothgym.detection.body_boxes import BodyBoxes, parts_of
+from clothgym.detection.body_boxes import BodyBoxes
 from clothgym.detection.body_mesh import BodyMesh
 
 REACH = 0.01
@@ -34,7 +34,7 @@ def test_distances_are_exact_within_reach(arity):
 
 def test_the_body_has_five_parts():
     skin = rig.load("female")
-    parts = parts_of(skin)
+    parts = skin.face_parts()
     middle = np.asarray(skin.vertices)[skin.faces].mean(axis=1)
     assert sorted(np.unique(parts)) == [0, 1, 2, 3, 4]
     assert (middle[parts == 1, 0] > 0.05).all() and (middle[parts == 2, 0] < -0.05).all()

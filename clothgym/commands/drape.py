@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +19,9 @@ from clothgym.commands.run import read_fidelity
 _HELP = """Sews a pattern onto a body and lets it hang until it rests; says whether the body wears it.
 
 PATTERN is a pattern of the package, which is cut to the body, or a GarmentCode file (.json), BODY a body of the package or
-any mesh that trimesh reads (y up, metres, unless --up and --unit say otherwise). Pictures go into the folder of --pictures,
+any mesh that trimesh reads (y up, metres, unless --up and --unit say otherwise). A sequence of its vertices, as BODY (a folder
+of meshes, or an .npz with vertices (T, V, 3) and faces) or as --frames, is played after the garment hangs on its first shape.
+Pictures go into the folder of --pictures,
 else beside --out with its name in front, else into `logs/drape/<pattern>_<body>/`.
 
 Exit code: 0 worn, 1 not worn (everything is written and reported all the same), 2 bad input, 130 stopped.
@@ -48,7 +51,7 @@ def drape(
     pattern: Annotated[
         str, typer.Argument(metavar="PATTERN", help="A pattern of the package (skirt, ...), or a file.")
     ],
-    body: Annotated[str, typer.Option("--body", metavar="BODY", help="female, male, or a mesh file.")],
+    body: Annotated[str, typer.Option("--body", metavar="BODY", help="female, male, a mesh file, or a sequence: a folder or an .npz.")],
     pose: Annotated[
         str, typer.Option("--pose", metavar="P", help="Of a body of the package: rest, a_pose, t_pose, arms_down, ...")
     ] = "rest",
@@ -76,7 +79,17 @@ def drape(
         str | None,
         typer.Option("--animate", metavar="walk", help="Then the body walks on the spot.", show_default=False),
     ] = None,
-    walk_seconds: Annotated[float, typer.Option("--walk-seconds", metavar="S", help="How long it walks [s].")] = 6.0,
+    walk_seconds: Annotated[
+        float, typer.Option("--walk-seconds", metavar="S", help="How long it walks, or a sequence is played at most [s].")
+    ] = 6.0,
+    frames: Annotated[
+        str | None,
+        typer.Option("--frames", metavar="FILE", help="What a body file's vertices do: .npy (T, V, 3), .npz or a folder.",
+                     show_default=False),
+    ] = None,
+    frame_rate: Annotated[
+        float | None, typer.Option("--frame-rate", metavar="R", help="Frames a second; 30.", show_default=False)
+    ] = None,
     material: Annotated[
         str, typer.Option("--material", metavar="NAME", help=f"{', '.join(materials.MATERIALS)}.")
     ] = "cotton",
@@ -136,13 +149,18 @@ def drape(
         "seconds": seconds,
     }
     with reserved_stdout(as_json):
-        wearer, how = _load_body(body, pose, unit, up), read_fidelity(fidelity)
+        wearer, how = _load_body(body, pose, unit, up, frames, frame_rate), read_fidelity(fidelity)
+        wearer, motion = dataclasses.replace(wearer, motion=None), wearer.motion
         given: Any = (
             pattern if pattern in names() else Pattern.load(pattern)
         )  # those of the package are cut to the body
         _make_folders(pictures, *(path.parent for path in (out, body_out) if path is not None))
         result = _drape(given, wearer, how, choices, record)
-        walked = None if animate is None else _walk(result, pose, walk_seconds)
+        walked = None
+        if animate is not None:
+            walked = _walk(result, pose, walk_seconds)
+        elif motion is not None:
+            walked = _play(result, motion, walk_seconds)
         name = pattern if isinstance(given, str) else given.name
         images = _write_pictures(result, *_picture_place(name, wearer.name, out, pictures))
         if out is not None:
@@ -170,14 +188,19 @@ def drape(
     if not document["worn"]:
         say(f"{name} on {wearer.name}: not worn: {_what_is_wrong(document)}")
         raise typer.Exit(1)
-    if walked is not None and not walked["worn"]:
-        say(f"{name} on {wearer.name}: worn, but not after the walk")
+    if walked is not None and walked["worn"] is False:
+        say(f"{name} on {wearer.name}: worn, but not after the {'walk' if animate else 'sequence'}")
         raise typer.Exit(1)
 
 
-def _load_body(source: str, pose: str, unit: str | None, up: str | None) -> Any:
-    from clothgym import body
+def _load_body(
+    source: str, pose: str, unit: str | None, up: str | None, frames: str | None, rate: float | None
+) -> Any:
+    from clothgym import body, body_sequence
 
+    if frames is not None or rate is not None:
+        check_choice(pose, "--frames: --pose", ("rest",))
+        return body_sequence.load(source, frames, rate, unit, up)
     return body.load(source, pose=pose, unit=unit, up=up)
 
 
@@ -205,6 +228,23 @@ def _walk(result: Any, pose: str, seconds: float) -> dict[str, Any]:
             return dict(walk(result, seconds, pose=pose, on_frame=on_frame).report)
         except KeyboardInterrupt:
             raise Stopped("stopped while walking; nothing was written") from None
+
+
+def _play(result: Any, motion: Any, most: float) -> dict[str, Any]:
+    """What `clothgym.dressing.play` reports, with progress and Ctrl-C."""
+    from clothgym.dressing import play
+
+    seconds = min(most, float(motion.times[-1]))
+    with ctrl_c_between_steps() as may_stop, progress_bar(f"{result.garment.name}: moving", seconds) as bar:
+
+        def on_frame(simulation: Any) -> None:
+            bar(simulation.time, "moving", seconds)
+            may_stop()
+
+        try:
+            return dict(play(result, motion, seconds, on_frame).report)
+        except KeyboardInterrupt:
+            raise Stopped("stopped while the body moved; nothing was written") from None
 
 
 def _drape(pattern: Any, wearer: Any, fidelity: Any, choices: dict[str, Any], record: Path | None) -> Any:

@@ -5,26 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clothgym import rig
 from clothgym.arrays import FloatArray, IntArray, as_points
 from clothgym.kernels import body_boxes, bvh, kdop
-
-_LEG_BONES = ("thigh", "calf", "foot", "ball")
-
-
-def parts_of(skin: rig.Rig) -> IntArray:
-    """(F,) part of each face of a body of the package: 0 trunk and head, 1, 2 left and right arm, 3, 4 left and right leg."""
-    of_bone = np.zeros(len(skin.bones), np.int32)
-    for number, name in enumerate(skin.bones):
-        right = name.endswith("_r")
-        if name.startswith(rig.ARM_BONES):
-            of_bone[number] = 2 if right else 1
-        elif name.startswith(_LEG_BONES):
-            of_bone[number] = 4 if right else 3
-    owner = of_bone[np.asarray(skin.weights).argmax(axis=1)]
-    corners = owner[skin.faces]
-    found: IntArray = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0]).astype(np.int32)
-    return found
 
 
 class BodyBoxes:
@@ -74,9 +56,17 @@ class BodyBoxes:
     def query(self, points: ArrayLike, tolerance: float) -> tuple[FloatArray, FloatArray]:
         """Signed distances (N,) [m] and normals (N, 3) for points nearer to the surface than the tolerance, on either side of
         it; inf and zero for others."""
+        distances, normals, _ = self._query(points, tolerance)
+        return distances, normals
+
+    def nearest(self, points: ArrayLike, reach: float) -> IntArray:
+        """The nearest face (N,) to points (N, 3) within reach [m]; -1 beyond."""
+        return self._query(points, reach)[2]
+
+    def _query(self, points: ArrayLike, reach: float) -> tuple[FloatArray, FloatArray, IntArray]:
         p = as_points(points, "points")
-        distances, normals = np.empty(len(p)), np.empty((len(p), 3))
-        boxes, faces = body_boxes.query(p, self._arrays, float(tolerance), self._stack, distances, normals)
+        distances, normals, nearest = np.empty(len(p)), np.empty((len(p), 3)), np.empty(len(p), np.int32)
+        boxes, faces = body_boxes.query(p, self._arrays, float(reach), self._stack, distances, normals, nearest)
         self.box_tests += boxes
         self.face_tests += faces
-        return distances, normals
+        return distances, normals, nearest

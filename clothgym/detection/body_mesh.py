@@ -72,6 +72,11 @@ class BodyMesh:
         kdop.refit(s.child_start, self._child_count, s.node_face, s.faces, self._intervals, s.boxes)
         closest.prepare(points, s)
 
+    @property
+    def closed(self) -> closest.ClosedSurface:
+        """What kernels read; written by `move`."""
+        return self._arrays
+
     def signed_distance(self, points: ArrayLike) -> FloatArray:
         """(N,) distance [m] of points (N, 3), negative inside.
 

@@ -2,6 +2,7 @@
 
 from clothgym.dressing.draping import Draped, drape
 from clothgym.dressing.layers import Layered, layer
+from clothgym.dressing.playing import play
 from clothgym.dressing.walking import Walked, walk
 
-__all__ = ["Draped", "Layered", "Walked", "drape", "layer", "walk"]
+__all__ = ["Draped", "Layered", "Walked", "drape", "layer", "play", "walk"]

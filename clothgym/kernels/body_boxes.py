@@ -103,8 +103,9 @@ def _to_face(x, y, z, s, f):
 
 
 @kernel
-def query(points, s, reach, stack, distances, normals):
-    """Signed distance [m] to the nearest face within reach and that face's normal, for points (N, 3); inf, zero beyond.
+def query(points, s, reach, stack, distances, normals, nearest):
+    """Signed distance [m] to the nearest face within reach, that face's normal, and the face, for points (N, 3); inf, zero
+    and -1 beyond.
 
     Returns tests of boxes and of faces. Of faces as near as each other, at a common edge, the one decides whose plane the
     point is further from.
@@ -140,6 +141,7 @@ def query(points, s, reach, stack, distances, normals):
                 if distance < best * (1.0 - 1e-9) or (distance <= best * (1.0 + 1e-9) and height > best_height):
                     best, best_height, chosen, front = distance, height, f, above
         distances[i] = np.inf
+        nearest[i] = chosen
         for c in range(3):
             normals[i, c] = 0.0
         if chosen >= 0:

@@ -1,6 +1,8 @@
 """Contact of cloth with the body's map [Vassilev 2001, section 6]: position correction, friction, the paper's eq. 12.
 
-The same substeps as in `integrate` and `contact`, with the body last in every sweep.
+The same substeps as in `integrate` and `contact`, with the body last in every sweep. What is near the body, and which plane it
+has to keep to, is asked of the maps in every sweep, or was found before the sweeps by a collider in object space; the answer is
+the same.
 """
 
 from __future__ import annotations
@@ -8,10 +10,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import bare, kernel
-from clothgym.kernels.body_map import BodyMap, find_plane, sides_of
+from clothgym.kernels.body_map import BodyMap, find_plane, sides_of, view_point
+from clothgym.kernels.body_planes import BodyPlanes, distance_to
 from clothgym.kernels.contact import project_contacts
 from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import (
@@ -25,12 +29,16 @@ from clothgym.kernels.integrate import (
 
 _LEEWAY = 4e-3
 """[m] faces whose points are further from the body than this are left alone, until a vertex may have come half as far."""
+_MOST_TEXELS = 4096
+"""Of a face that covers more texels, every second one is looked at, or every third and so on: only a torn mesh has such."""
 
 
 class BodyContact(NamedTuple):
     """The body as the sweeps see it, and what they keep about each vertex during a substep."""
 
-    map: BodyMap
+    map: BodyMap | None
+    found: BodyPlanes | None
+    """One of the two: what is asked in every sweep, or was found before. None leaves out the other when this is compiled."""
     tolerance: float  # distance that vertices keep [m]
     face_tolerance: float  # distance that points of faces keep [m]
     face_push: float  # largest correction for a face in a sweep [m]
@@ -39,6 +47,7 @@ class BodyContact(NamedTuple):
     rebound: float  # C_refl of eq. 12
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
+    texel: float | None  # [m] faces are tested at every texel of this size that they cover; None = at these points
     near_faces: NDArray  # (1 + F,) int32: how many faces are near the body, and which
     travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
@@ -74,28 +83,86 @@ def begin_contact(x, p, contact, dt):
             + contact.approach[i, 1] * contact.approach[i, 1]
             + contact.approach[i, 2] * contact.approach[i, 2],
         )
-        contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], contact.map, before)
     contact.travel[0] += math.sqrt(longest)
-    if contact.travel[0] > 0.5 * _LEEWAY or contact.map.flow.shape[0] > 0:
-        _find_near_faces(p, contact)
-        contact.travel[0] = 0.0
+    _look_around(x, p, contact, contact.map, before)
 
 
 @bare
-def _find_near_faces(p, contact):
+def _look_around(x, p, contact, body, before):
+    if body is not None:
+        for i in range(x.shape[0]):
+            contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], body, before)
+        if contact.travel[0] > 0.5 * _LEEWAY or body.flow.shape[0] > 0:
+            _find_near_faces(p, contact, body, contact.texel)
+            contact.travel[0] = 0.0
+
+
+@bare
+def _cover(p, a, b, c, size):
+    """Texels that a face (a, b, c) may cover: how many, the axis along which they are seen, the first column and row, the
+    columns, and their size [m]."""
+    ux, uy, uz = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
+    vx, vy, vz = p[c, 0] - p[a, 0], p[c, 1] - p[a, 1], p[c, 2] - p[a, 2]
+    nx, ny, nz = abs(uy * vz - uz * vy), abs(uz * vx - ux * vz), abs(ux * vy - uy * vx)
+    # edge-on, a face covers few texels: it is seen along the axis that it faces most
+    axis = 2 if nz >= nx and nz >= ny else (1 if ny >= nx else 0)
+    ua, va, _ = view_point(p[a, 0], p[a, 1], p[a, 2], axis)
+    ub, vb, _ = view_point(p[b, 0], p[b, 1], p[b, 2], axis)
+    uc, vc, _ = view_point(p[c, 0], p[c, 1], p[c, 2], axis)
+    wide = max(ua, ub, uc) - min(ua, ub, uc)
+    high = max(va, vb, vc) - min(va, vb, vc)
+    if not wide * high <= _MOST_TEXELS * size * size:
+        size = math.sqrt(wide * high / _MOST_TEXELS)
+    column = math.ceil(min(ua, ub, uc) / size - 0.5)
+    row = math.ceil(min(va, vb, vc) / size - 0.5)
+    columns = math.floor(max(ua, ub, uc) / size - 0.5) - column + 1.0
+    rows = math.floor(max(va, vb, vc) / size - 0.5) - row + 1.0
+    if not (columns > 0.0 and rows > 0.0):
+        return 0, axis, 0, 0, 0, size
+    return np.int64(columns * rows), axis, np.int64(column), np.int64(row), np.int64(columns), size
+
+
+@bare
+def _weights_at(n, p, a, b, c, axis, column, row, columns, size):
+    """Barycentric weights of the middle of the n-th of these texels; the first is negative if it lies beside the face."""
+    u = (column + n % columns + 0.5) * size
+    v = (row + n // columns + 0.5) * size
+    ua, va, _ = view_point(p[a, 0], p[a, 1], p[a, 2], axis)
+    ub, vb, _ = view_point(p[b, 0], p[b, 1], p[b, 2], axis)
+    uc, vc, _ = view_point(p[c, 0], p[c, 1], p[c, 2], axis)
+    area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
+    if area == 0.0:
+        return -1.0, 0.0, 0.0
+    wb = ((u - ua) * (vc - va) - (uc - ua) * (v - va)) / area
+    wc = ((ub - ua) * (v - va) - (u - ua) * (vb - va)) / area
+    wa = 1.0 - wb - wc
+    return (-1.0 if wb < 0.0 or wc < 0.0 else wa), wb, wc
+
+
+@bare
+def _find_near_faces(p, contact, body, texel_size):
     """Faces with a point near the body at p: most of a garment hangs free, and its sweeps need not look."""
     points = contact.face_points
     age = contact.clock[0]
     count = 0
-    for f in range(contact.faces.shape[0] if points.shape[0] > 0 else 0):
+    places = points.shape[0]
+    for f in range(contact.faces.shape[0] if places > 0 else 0):
         a = contact.faces[f, 0]
         b = contact.faces[f, 1]
         c = contact.faces[f, 2]
-        for n in range(points.shape[0]):
-            x = points[n, 0] * p[a, 0] + points[n, 1] * p[b, 0] + points[n, 2] * p[c, 0]
-            y = points[n, 0] * p[a, 1] + points[n, 1] * p[b, 1] + points[n, 2] * p[c, 1]
-            z = points[n, 0] * p[a, 2] + points[n, 1] * p[b, 2] + points[n, 2] * p[c, 2]
-            texel, _, _ = find_plane(x, y, z, x, y, z, 0, contact.map, contact.face_tolerance + _LEEWAY, age)
+        if texel_size is not None:
+            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size)
+        for n in range(places):
+            if texel_size is not None:
+                wa, wb, wc = _weights_at(n, p, a, b, c, axis, column, row, columns, size)
+                if wa < 0.0:
+                    continue
+            else:
+                wa, wb, wc = points[n, 0], points[n, 1], points[n, 2]
+            x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
+            y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
+            z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
+            texel, _, _ = find_plane(x, y, z, x, y, z, 0, body, contact.face_tolerance + _LEEWAY, age)
             if texel >= 0:
                 count += 1
                 contact.near_faces[count] = f
@@ -149,48 +216,21 @@ def _hold_back(x, p, contact, i):
 
 
 @bare
-def _test_faces(starts, p, inverse_masses, contact, dt):
-    """Points of each face inside the body push its corners by their weights; several answers at a vertex are averaged."""
+def _push(pushes, v, weight, amount, nx, ny, nz, ux, uy, uz):
+    """What a point of the cloth asks of one of its vertices; the surface there moves with u."""
+    pushes[v, 0] += amount * weight * nx
+    pushes[v, 1] += amount * weight * ny
+    pushes[v, 2] += amount * weight * nz
+    pushes[v, 3] += 1.0
+    pushes[v, 4] += ux
+    pushes[v, 5] += uy
+    pushes[v, 6] += uz
+
+
+@bare
+def _give_pushes(p, inverse_masses, contact, dt):
+    """Several answers at a vertex are averaged."""
     pushes = contact.pushes
-    pushes[:] = 0.0
-    found = False
-    points = contact.face_points
-    age = contact.clock[0]
-    flow = contact.map.flow
-    for near in range(1, contact.near_faces[0] + 1):
-        f = contact.near_faces[near]
-        a = contact.faces[f, 0]
-        b = contact.faces[f, 1]
-        c = contact.faces[f, 2]
-        from_side = contact.side[a]
-        # of each view, what all corners have in common: bits of front and back cancel
-        from_side &= contact.side[b] & contact.side[c]
-        for n in range(points.shape[0]):
-            wa = points[n, 0]
-            wb = points[n, 1]
-            wc = points[n, 2]
-            x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
-            y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
-            z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            sx = wa * starts[a, 0] + wb * starts[b, 0] + wc * starts[c, 0]
-            sy = wa * starts[a, 1] + wb * starts[b, 1] + wc * starts[c, 1]
-            sz = wa * starts[a, 2] + wb * starts[b, 2] + wc * starts[c, 2]
-            texel, side, distance = find_plane(x, y, z, sx, sy, sz, from_side, contact.map, contact.face_tolerance, age)
-            if texel < 0:
-                continue
-            found = True
-            # the point itself moves by this much
-            amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
-            for k in range(3):
-                v = contact.faces[f, k]
-                for axis in range(3):
-                    pushes[v, axis] += amount * points[n, k] * contact.map.planes[texel, 4 * side + axis]
-                pushes[v, 3] += 1.0
-                if flow.shape[0] > 0:
-                    for axis in range(3):
-                        pushes[v, 4 + axis] += flow[texel, 3 * side + axis]
-    if not found:
-        return
     for i in range(p.shape[0]):
         if pushes[i, 3] == 0.0 or inverse_masses[i] == 0.0:
             continue
@@ -200,24 +240,89 @@ def _test_faces(starts, p, inverse_masses, contact, dt):
         size = math.sqrt(x * x + y * y + z * z)
         if size > 0.0:
             _shift(p, contact, i, x / size, y / size, z / size, size)
+            for axis in range(3):
+                contact.carried[i, axis] = dt * pushes[i, 4 + axis] / pushes[i, 3]
+
+
+@bare
+def _test_faces(starts, p, inverse_masses, contact, body, texel_size, dt):
+    """Points of each face inside the body push its corners by their weights."""
+    pushes = contact.pushes
+    pushes[:] = 0.0
+    found = False
+    points = contact.face_points
+    places = points.shape[0]
+    age = contact.clock[0]
+    planes = body.planes
+    flow = body.flow
+    for near in range(1, contact.near_faces[0] + 1):
+        f = contact.near_faces[near]
+        a = contact.faces[f, 0]
+        b = contact.faces[f, 1]
+        c = contact.faces[f, 2]
+        from_side = contact.side[a]
+        # of each view, what all corners have in common: bits of front and back cancel
+        from_side &= contact.side[b] & contact.side[c]
+        if texel_size is not None:
+            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size)
+        for n in range(places):
+            if texel_size is not None:
+                wa, wb, wc = _weights_at(n, p, a, b, c, axis, column, row, columns, size)
+                if wa < 0.0:
+                    continue
+            else:
+                wa, wb, wc = points[n, 0], points[n, 1], points[n, 2]
+            x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
+            y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
+            z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
+            sx = wa * starts[a, 0] + wb * starts[b, 0] + wc * starts[c, 0]
+            sy = wa * starts[a, 1] + wb * starts[b, 1] + wc * starts[c, 1]
+            sz = wa * starts[a, 2] + wb * starts[b, 2] + wc * starts[c, 2]
+            texel, side, distance = find_plane(x, y, z, sx, sy, sz, from_side, body, contact.face_tolerance, age)
+            if texel < 0:
+                continue
+            found = True
+            # the point itself moves by this much
+            amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
+            at = 4 * side
+            nx, ny, nz = planes[texel, at], planes[texel, at + 1], planes[texel, at + 2]
+            ux, uy, uz = 0.0, 0.0, 0.0
             if flow.shape[0] > 0:
-                for axis in range(3):
-                    contact.carried[i, axis] = dt * pushes[i, 4 + axis] / pushes[i, 3]
+                at = 3 * side
+                ux, uy, uz = np.float64(flow[texel, at]), np.float64(flow[texel, at + 1]), np.float64(flow[texel, at + 2])
+            _push(pushes, a, wa, amount, nx, ny, nz, ux, uy, uz)
+            _push(pushes, b, wb, amount, nx, ny, nz, ux, uy, uz)
+            _push(pushes, c, wc, amount, nx, ny, nz, ux, uy, uz)
+    if found:
+        _give_pushes(p, inverse_masses, contact, dt)
 
 
 @bare
 def keep_off_body(x, p, inverse_masses, contact, dt):
     """One sweep: points of faces, then vertices (which have the last word), then friction."""
+    _keep_off(x, p, inverse_masses, contact, contact.map, contact.found, dt)
+
+
+@bare
+def _keep_off(x, p, inverse_masses, contact, body, found, dt):
+    if body is not None:
+        _keep_off_maps(x, p, inverse_masses, contact, body, dt)
+    if found is not None:
+        _keep_off_planes(x, p, inverse_masses, contact, found, dt)
+
+
+@bare
+def _keep_off_maps(x, p, inverse_masses, contact, body, dt):
     if contact.face_points.shape[0] > 0:
-        _test_faces(x, p, inverse_masses, contact, dt)
+        _test_faces(x, p, inverse_masses, contact, body, contact.texel, dt)
     age = contact.clock[0]
-    planes = contact.map.planes
-    flow = contact.map.flow
+    planes = body.planes
+    flow = body.flow
     for i in range(p.shape[0]):
         if inverse_masses[i] == 0.0:
             continue
         texel, side, distance = find_plane(
-            p[i, 0], p[i, 1], p[i, 2], x[i, 0], x[i, 1], x[i, 2], contact.side[i], contact.map, contact.tolerance, age
+            p[i, 0], p[i, 1], p[i, 2], x[i, 0], x[i, 1], x[i, 2], contact.side[i], body, contact.tolerance, age
         )
         if texel >= 0:
             at = 4 * side
@@ -226,6 +331,52 @@ def keep_off_body(x, p, inverse_masses, contact, dt):
             if flow.shape[0] > 0:
                 for c in range(3):
                     contact.carried[i, c] = dt * flow[texel, 3 * side + c]
+        if contact.pressed[i] > 0.0 and contact.friction > 0.0:
+            _hold_back(x, p, contact, i)
+
+
+@bare
+def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
+    """The same against what a collider in object space has found."""
+    pushes = contact.pushes
+    pushes[:] = 0.0
+    corners = found.corners
+    weights = found.weights
+    planes = found.point_planes
+    flow = found.point_flow
+    for n in range(found.count[0]):
+        a, b, c = corners[n, 0], corners[n, 1], corners[n, 2]
+        wa, wb, wc = weights[n, 0], weights[n, 1], weights[n, 2]
+        distance = distance_to(
+            wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0],
+            wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1],
+            wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2],
+            planes,
+            n,
+        )
+        if distance >= contact.face_tolerance:
+            continue
+        amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
+        nx, ny, nz = planes[n, 0], planes[n, 1], planes[n, 2]
+        # of an edge's point one corner has no part in it, and asks for nothing
+        if wa > 0.0:
+            _push(pushes, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        if wb > 0.0:
+            _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        if wc > 0.0:
+            _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+    if found.count[0] > 0:
+        _give_pushes(p, inverse_masses, contact, dt)
+    for i in range(p.shape[0]):
+        if inverse_masses[i] == 0.0:
+            continue
+        if found.near[i]:
+            distance = distance_to(p[i, 0], p[i, 1], p[i, 2], found.planes, i)
+            if distance < contact.tolerance:
+                _shift(p, contact, i, found.planes[i, 0], found.planes[i, 1], found.planes[i, 2],
+                       contact.tolerance - distance)  # fmt: skip
+                for k in range(3):
+                    contact.carried[i, k] = dt * found.flow[i, k]
         if contact.pressed[i] > 0.0 and contact.friction > 0.0:
             _hold_back(x, p, contact, i)
 

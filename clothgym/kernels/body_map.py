@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import bare, kernel
+from clothgym._jit import bare, inlined, kernel
 from clothgym.kernels.raster import face_normal
 
 PLANES, DRIFT = 16, 12
@@ -30,6 +30,10 @@ PLANES, DRIFT = 16, 12
 
 FRONT, BACK = 1, 2
 """Sides of the body, two bits for each pair of views; 0 = beside it, unknown."""
+
+_CANNOT_TELL = -2
+_STEP = 0.015
+"""[m] so far behind what the body has nearby a point in front of its own texel may touch that."""
 
 
 class View(NamedTuple):
@@ -221,9 +225,13 @@ def _sides_in(x, y, z, body, two, three, age):
     return sides
 
 
-@bare
+@inlined
 def _plane_in(x, y, z, came_from, view, body, tolerance, age):
-    """`find_plane` in one view."""
+    """`find_plane` in one view; texel _CANNOT_TELL: outside as far as this view knows, which others may know better.
+
+    Such is a point beside the outline of an arm in front of the trunk: its texel shows the trunk, and what lies in front of
+    that is outside, but the arm that begins a texel further on has no plane for its own side.
+    """
     a, b, c = view_point(x, y, z, view.axis)
     texel = texel_of(a, b, view)
     if texel < 0:
@@ -232,14 +240,11 @@ def _plane_in(x, y, z, came_from, view, body, tolerance, age):
     if height > body.bounds[texel, 1] + tolerance or height < body.bounds[texel, 0] - tolerance:
         return -1, 0, 0.0
     front = plane_distance(x, y, z, texel, 0, body, age)
-    if front >= tolerance:
-        return -1, 0, 0.0
     back = plane_distance(x, y, z, texel, 1, body, age)
-    if back >= tolerance:
-        return -1, 0, 0.0
     outline = plane_distance(x, y, z, texel, 2, body, age)
-    if outline >= tolerance:
-        return -1, 0, 0.0
+    if front >= tolerance or back >= tolerance or outline >= tolerance:
+        ahead = body.bounds[texel, 1] - height if front >= tolerance else height - body.bounds[texel, 0]
+        return (_CANNOT_TELL if ahead > _STEP and outline < 0.0 else -1), 0, 0.0
     if outline > front and outline > back:
         return texel, 2, outline
     if came_from == FRONT or (came_from != BACK and front >= back):
@@ -262,24 +267,38 @@ def find_plane(x, y, z, start_x, start_y, start_z, came_from, body, tolerance, a
 @bare
 def _in_views(x, y, z, start_x, start_y, start_z, came_from, body, two, three, tolerance, age):
     texel, side, distance = _plane_in(x, y, z, came_from & 3, body.one, body, tolerance, age)
-    if two is not None and texel >= 0:  # None is left out when this is compiled
-        passed = plane_distance(start_x, start_y, start_z, texel, side, body, age) >= 0.0
-        other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 2) & 3, two, body, tolerance, age)
-        if other < 0:
-            texel = -1
-        else:
-            also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
-            if (also and not passed) or (also == passed and other_distance > distance):
-                texel, side, distance, passed = other, other_side, other_distance, also
-        if three is not None and texel >= 0:
-            other, other_side, other_distance = _plane_in(x, y, z, (came_from >> 4) & 3, three, body, tolerance, age)
-            if other < 0:
-                texel = -1
-            else:
-                also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
-                if (also and not passed) or (also == passed and other_distance > distance):
-                    texel, side, distance = other, other_side, other_distance
+    if two is not None and texel != -1:  # None is left out when this is compiled
+        passed = texel >= 0 and plane_distance(start_x, start_y, start_z, texel, side, body, age) >= 0.0
+        texel, side, distance, passed = _in_view_too(
+            x, y, z, start_x, start_y, start_z, (came_from >> 2) & 3, two, body, tolerance, age, texel, side, distance, passed
+        )
+        if three is not None and texel != -1:
+            texel, side, distance, passed = _in_view_too(
+                x, y, z, start_x, start_y, start_z, (came_from >> 4) & 3, three, body, tolerance, age, texel, side, distance,
+                passed,
+            )  # fmt: skip
     return texel, side, distance
+
+
+@inlined
+def _in_view_too(
+    x, y, z, start_x, start_y, start_z, came_from, view, body, tolerance, age, texel, side, distance, passed
+):
+    """The better one of the plane that is known, if one is, and that of one more view: none if this view sees the point
+    outside.
+
+    `passed`: whether the point started outside of the known plane.
+    """
+    other, other_side, other_distance = _plane_in(x, y, z, came_from, view, body, tolerance, age)
+    if other < 0:
+        # what cannot tell leaves what touches as it is; deep inside, it would have seen it
+        return (texel if other == _CANNOT_TELL and distance > -tolerance else -1), side, distance, passed
+    also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
+    if texel < 0:
+        return (other if other_distance > -tolerance else -1), other_side, other_distance, also
+    if (also and not passed) or (also == passed and other_distance > distance):
+        return other, other_side, other_distance, also
+    return texel, side, distance, passed
 
 
 @kernel

@@ -69,7 +69,7 @@ def _box_gap(boxes, b, px, py, pz):
 
 
 @device
-def _on_face(corners, f, scratch):
+def on_face(corners, f, scratch):
     """Squared distance of the point in scratch[0] and face f, and the weights of the closest point."""
     for n in range(9):
         scratch[1 + n // 3, n % 3] = corners[f, n]
@@ -82,18 +82,22 @@ def _on_face(corners, f, scratch):
 
 
 @device
-def _sign(s, f, wa, wb, wc, scratch):
-    """+1 outside, -1 inside: the side of the closest feature's pseudonormal, which must be face, edge or vertex."""
-    faces = s.faces
+def feature_normal(s, f, wa, wb, wc):
+    """Pseudonormal of the face, side or corner of face f on which its point with these weights lies."""
     zeros = (1 if wa == 0.0 else 0) + (1 if wb == 0.0 else 0) + (1 if wc == 0.0 else 0)
     if zeros == 0:
-        nx, ny, nz = s.face_normals[f, 0], s.face_normals[f, 1], s.face_normals[f, 2]
-    elif zeros == 1:
+        return s.face_normals[f, 0], s.face_normals[f, 1], s.face_normals[f, 2]
+    if zeros == 1:
         e = s.face_edges[f, 1 if wa == 0.0 else (2 if wb == 0.0 else 0)]
-        nx, ny, nz = s.edge_normals[e, 0], s.edge_normals[e, 1], s.edge_normals[e, 2]
-    else:
-        v = faces[f, 0 if wa != 0.0 else (1 if wb != 0.0 else 2)]
-        nx, ny, nz = s.vertex_normals[v, 0], s.vertex_normals[v, 1], s.vertex_normals[v, 2]
+        return s.edge_normals[e, 0], s.edge_normals[e, 1], s.edge_normals[e, 2]
+    v = s.faces[f, 0 if wa != 0.0 else (1 if wb != 0.0 else 2)]
+    return s.vertex_normals[v, 0], s.vertex_normals[v, 1], s.vertex_normals[v, 2]
+
+
+@device
+def _sign(s, f, wa, wb, wc, scratch):
+    """+1 outside, -1 inside: the side of the closest feature's pseudonormal, which must be face, edge or vertex."""
+    nx, ny, nz = feature_normal(s, f, wa, wb, wc)
     dx = scratch[0, 0] - wa * s.corners[f, 0] - wb * s.corners[f, 3] - wc * s.corners[f, 6]
     dy = scratch[0, 1] - wa * s.corners[f, 1] - wb * s.corners[f, 4] - wc * s.corners[f, 7]
     dz = scratch[0, 2] - wa * s.corners[f, 2] - wb * s.corners[f, 5] - wc * s.corners[f, 8]
@@ -107,7 +111,7 @@ def _nearest(s, guess, scratch, nodes, gaps):
     Boxes as near as the best so far up to rounding are still opened and equal distances go to the lower face, so that
     the answer does not depend on the guess.
     """
-    best, ba, bb, bc = _on_face(s.corners, guess, scratch)
+    best, ba, bb, bc = on_face(s.corners, guess, scratch)
     chosen = guess
     px, py, pz = scratch[0, 0], scratch[0, 1], scratch[0, 2]
     nodes[0] = 0
@@ -122,7 +126,7 @@ def _nearest(s, guess, scratch, nodes, gaps):
         if f >= 0:
             if f == guess:
                 continue
-            gap, wa, wb, wc = _on_face(s.corners, f, scratch)
+            gap, wa, wb, wc = on_face(s.corners, f, scratch)
             if gap < best or (gap == best and f < chosen):
                 best, ba, bb, bc, chosen = gap, wa, wb, wc, f
             continue

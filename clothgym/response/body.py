@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from clothgym.detection.body_maps import BodyMaps
 from clothgym.fidelity import Fidelity
 from clothgym.kernels.body_contact import BodyContact
 from clothgym.kernels.body_map import BodyMap
+from clothgym.kernels.body_planes import BodyPlanes
 from clothgym.kernels.clamped import between_bodies
 from clothgym.model import ClothModel
 
@@ -49,11 +50,13 @@ def face_points(parts: int) -> FloatArray:
 
 
 def body_contact(
-    maps: BodyMap, faces: IntArray, vertex_count: int, tolerance: float, face_parts: int, **answer: float
+    near: BodyMap | BodyPlanes, faces: IntArray, vertex_count: int, tolerance: float, face_parts: int, **answer: Any
 ) -> BodyContact:
-    """What sweeps need against a map; `answer` gives friction, slide and rebound, without it 0, 1 and 0."""
+    """What sweeps need against a map, or against planes that were found; `answer` gives friction, slide, rebound and texel,
+    without it 0, 1, 0 and None."""
     return BodyContact(
-        map=maps,
+        map=near if isinstance(near, BodyMap) else None,
+        found=near if isinstance(near, BodyPlanes) else None,
         tolerance=tolerance,
         face_tolerance=_FACE_SHARE * tolerance,
         face_push=_FACE_PUSH,
@@ -62,6 +65,7 @@ def body_contact(
         rebound=float(answer.get("rebound", 0.0)),
         faces=np.ascontiguousarray(faces, np.int32),
         face_points=face_points(face_parts),
+        texel=answer.get("texel"),
         near_faces=np.zeros(1 + len(faces), np.int32),
         clock=np.zeros(1),
         travel=np.full(1, np.inf),
@@ -101,41 +105,65 @@ class BodyResponse:
     """The maps of a scene's bodies and the buffers of contact with them; one friction for all bodies, their mean.
 
     The substep's answer: position correction to the tolerance, then Coulomb friction, or eq. 12 of [Vassilev 2001].
+
+    Attributes:
+        asked_in_sweeps: whether sweeps ask for themselves; else `look` does, before the sweeps of each substep.
     """
+
+    asked_in_sweeps = True
 
     def __init__(self, model: ClothModel, fidelity: Fidelity) -> None:
         bodies = model.scene.bodies
         self.bodies, self.moving, self.step = bodies, model.scene.moving, model.scene.step
-        self.maps = body_maps(tuple(bodies), fidelity)
-        self.label = f"body {fidelity.map_size} px along {self.maps.views}, {fidelity.body_response}"
-        self.label += ", drawn anew each step" if self.moving else ""
-        self.label += f", {fidelity.body_faces**2} points a face" if fidelity.body_faces else ""
+        near = self._collider(model, fidelity)
+        # finer than what cloth keeps away nothing can poke through
+        texel = max(self.maps.pixel, fidelity.body_tolerance) if fidelity.body_texels else None
+        self.label += f", {fidelity.body_response}"
+        self.label += self._moves if self.moving else ""
+        if texel is not None:
+            self.label += ", faces by texels"
+        elif fidelity.body_faces and fidelity.body_collider != "dop":
+            self.label += f", {fidelity.body_faces**2} points a face"
         coulomb = fidelity.body_response == "coulomb"
         self._contact = body_contact(
-            self.maps.map,
+            near,
             model.faces,
             model.vertex_count,
             fidelity.body_tolerance,
-            fidelity.body_faces,
+            fidelity.body_faces if texel is None else 1,
             friction=float(np.mean([body.friction for body in bodies])) if coulomb else 0.0,
             slide=1.0 if coulomb else float(np.mean([body.slide for body in bodies])),
             rebound=float(np.mean([body.rebound for body in bodies])),
+            texel=texel,
         )
 
-    def begin(self, frame: Frame) -> BodyContact:
-        """Ready for a step; its forces are the frame's `body_forces` from now on.
+    _moves = ", drawn anew each step"
 
-        What moves is drawn where it is at the end of the step: from the state's time alone, so no drawing is kept.
-        """
+    def _collider(self, model: ClothModel, fidelity: Fidelity) -> BodyMap | BodyPlanes:
+        """Makes what knows where the bodies are, and the label's beginning; returns what sweeps read of it."""
+        self.maps = body_maps(tuple(self.bodies), fidelity)
+        self.label = f"body {fidelity.map_size} px along {self.maps.views}"
+        return self.maps.map
+
+    def begin(self, frame: Frame) -> BodyContact:
+        """Ready for a step; its forces are the frame's `body_forces` from now on."""
         if self.moving:
-            now = frame.state.time
-            soon, here = vertices_at(self.bodies, now + self.step), vertices_at(self.bodies, now)
-            self.maps.render(soon, here, self.step, self._neighbourhood(frame))
-            self._contact = self._contact._replace(map=self.maps.map)
+            self._move(frame)
         self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
         self._contact.travel[0] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
+        return self._contact
+
+    def _move(self, frame: Frame) -> None:
+        """What moves is drawn where it is at the end of the step: from the state's time alone, so no drawing is kept."""
+        now = frame.state.time
+        soon, here = vertices_at(self.bodies, now + self.step), vertices_at(self.bodies, now)
+        self.maps.render(soon, here, self.step, self._neighbourhood(frame))
+        self._contact = self._contact._replace(map=self.maps.map)
+
+    def look(self, frame: Frame, dt: float) -> BodyContact:
+        """Before the sweeps of a substep of dt [s], whose predicted positions are in the frame."""
         return self._contact
 
     def _neighbourhood(self, frame: Frame) -> FloatArray:

@@ -269,11 +269,12 @@ class ContactSubstepsOnBody(ContactSubsteps):
         self.name = f"{self.name[:-1]}, {body.label}]"
 
     def run(self, frame: Frame) -> None:
-        self.contact = self.body.begin(frame)
+        self.body.begin(frame)
         super().run(frame)
 
     def _solve(self, frame: Frame, motion: Motion, substep: int) -> None:
         s, model = self.step, frame.model
+        self.contact = self.body.look(frame, motion.dt)
         self.body_kernels.solve_on_body(
             frame.state.positions, frame.predicted, model.arrays, self.contacts.arrays, self.contacts.active,
             model.friction, s.radii, motion, s.ground, s.integrator.loose_grips(frame),

@@ -76,6 +76,6 @@ class IntegrateOnBody(Integrate):
 
     def run(self, frame: Frame) -> None:
         s = self.step
-        s.integrator.run_on_body(frame, s.motion(frame), s.radii, s.ground, self.body.begin(frame))
+        s.integrator.run_on_body(frame, s.motion(frame), s.radii, s.ground, self.body)
         self.clamped[:] = False
         frame.clamped = self.body.clamped(self.clamped)

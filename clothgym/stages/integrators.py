@@ -17,7 +17,7 @@ from clothgym.model import ClothModel
 from clothgym.stages.frame import Frame
 
 if TYPE_CHECKING:
-    from clothgym.kernels.body_contact import BodyContact
+    from clothgym.response.body import BodyResponse
 
 NO_GRIPS = Grips(
     np.zeros(0, np.int32),
@@ -81,18 +81,18 @@ class Integrator(ABC):
             integrate.hold(state.positions, frame.predicted, w, radii, motion, ground, self.loose_grips(frame), n)
             self.finish(frame, motion.dt)
 
-    def run_on_body(
-        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
-    ) -> None:
-        """The same with a body."""
+    def run_on_body(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, body: BodyResponse) -> None:
+        """The same with bodies."""
         from clothgym.kernels import body_contact
         from clothgym.kernels.contact import NO_CONTACTS
 
         state, model = frame.state, frame.model
         x, v, p = state.positions, state.velocities, frame.predicted
+        body.begin(frame)
         for n in range(self.substeps):
             frame.substep = n
             self.predict(frame, motion)
+            contact = body.look(frame, motion.dt)
             body_contact.solve_on_body(
                 x, p, model.arrays, NO_CONTACTS, 0, 0.0, radii, motion, ground, self.loose_grips(frame),
                 self.multipliers, n, self.in_sweeps, contact,
@@ -140,12 +140,12 @@ class SymplecticEuler(Integrator):
             frame.grips, 0, self.substeps,
         )  # fmt: skip
 
-    def run_on_body(
-        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
-    ) -> None:
+    def run_on_body(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, body: BodyResponse) -> None:
         from clothgym.kernels import body_contact
 
-        state = frame.state
+        if not body.asked_in_sweeps:
+            return super().run_on_body(frame, motion, radii, ground, body)
+        state, contact = frame.state, body.begin(frame)
         body_contact.euler_substeps_on_body(
             state.positions, state.velocities, frame.predicted, self.forces, frame.model.arrays, radii, motion, ground,
             frame.grips, contact, self.substeps,

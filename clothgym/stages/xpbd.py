@@ -15,7 +15,7 @@ from clothgym.stages.frame import Frame
 from clothgym.stages.integrators import Integrator
 
 if TYPE_CHECKING:
-    from clothgym.kernels.body_contact import BodyContact
+    from clothgym.response.body import BodyResponse
 
 
 class Xpbd(Integrator):
@@ -60,12 +60,12 @@ class Xpbd(Integrator):
             self.multipliers, 0, self.substeps,
         )  # fmt: skip
 
-    def run_on_body(
-        self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, contact: BodyContact
-    ) -> None:
+    def run_on_body(self, frame: Frame, motion: Motion, radii: np.ndarray, ground: Ground, body: BodyResponse) -> None:
         from clothgym.kernels import body_contact
 
-        state = frame.state
+        if not body.asked_in_sweeps:
+            return super().run_on_body(frame, motion, radii, ground, body)
+        state, contact = frame.state, body.begin(frame)
         body_contact.xpbd_substeps_on_body(
             state.positions, state.velocities, frame.predicted, frame.model.arrays, radii, motion, ground, frame.grips,
             self.multipliers, contact, self.substeps,

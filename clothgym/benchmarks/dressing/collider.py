@@ -17,7 +17,7 @@ from clothgym.arrays import BoolArray, FloatArray
 from clothgym.benchmarks.frame import Case, Row
 from clothgym.benchmarks.report import Table
 from clothgym.body import Body
-from clothgym.detection.body_boxes import BodyBoxes, parts_of
+from clothgym.detection.body_boxes import BodyBoxes
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.detection.body_mesh import BodyMesh
 from clothgym.kernels import body_map, raster
@@ -147,7 +147,7 @@ def _accuracy(parameters: dict[str, Any]) -> dict[str, Any]:
         found, _ = maps.query(points, 0.005)
         felt = np.isfinite(found)
         error = np.abs(found - exact)[felt & (np.abs(exact) < _COVERED)]
-    boxes, box_error = BodyBoxes(vertices, faces, parts_of(skin)), None
+    boxes, box_error = BodyBoxes(vertices, faces, skin.face_parts()), None
     if form == "face" and parameters["views"] == "z":
         seen, _ = boxes.query(points, _COVERED)
         box_error = float(np.abs(seen - exact)[np.isfinite(seen)].max())

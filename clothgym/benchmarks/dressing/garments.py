@@ -15,7 +15,7 @@ import clothgym as cg
 from clothgym import rig
 from clothgym.benchmarks.frame import Case, Row
 from clothgym.benchmarks.report import Table
-from clothgym.detection.body_boxes import BodyBoxes, parts_of
+from clothgym.detection.body_boxes import BodyBoxes
 from clothgym.dressing import drape
 from clothgym.kernels import body_map
 
@@ -120,7 +120,7 @@ def _table_1(parameters: dict[str, Any]) -> dict[str, Any]:
     x, body = draped.positions, draped.body
     points = np.concatenate([x, x[draped.faces].mean(axis=1)])
     skin = rig.load(body.name)
-    boxes = BodyBoxes(body.mesh.vertices, body.mesh.faces, parts_of(skin))
+    boxes = BodyBoxes(body.mesh.vertices, body.mesh.faces, skin.face_parts())
     maps = simulation.pipeline.stages[-1].body.maps  # type: ignore[attr-defined]
     distances, normals = np.empty(len(points)), np.empty((len(points), 3))
     tolerance = simulation.fidelity.body_tolerance

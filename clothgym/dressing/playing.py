@@ -1,0 +1,97 @@
+"""A dressed body that moves as a sequence of its vertices does: its garments, frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from clothgym.arrays import check_number
+from clothgym.body import Body
+from clothgym.detection.body_maps import BodyMaps
+from clothgym.dressing.draping import Draped
+from clothgym.dressing.walking import Walked
+from clothgym.dressing.worn import expected_limbs, threadings
+from clothgym.mesh import Mesh
+from clothgym.motion import Motion
+from clothgym.response.body import REACH
+from clothgym.simulation import Simulation
+
+_PARTS = 2
+"""Steps in a frame of 1/60 s."""
+_SAMPLES = 10
+
+
+def play(
+    draped: Draped, motion: Motion, seconds: float, on_frame: Callable[[Simulation], None] | None = None
+) -> Walked:
+    """Lets the body of a garment that hangs on it move.
+
+    Args:
+        draped: on the body as it stands at the start of the motion.
+        motion: of the body's vertices.
+        seconds: how long.
+        on_frame: called with the simulation at the start and after each frame of 1/60 s.
+
+    Returns:
+        The report has worn (what goes through each opening; of a body with a skeleton this is not looked for, None), hits_max
+        and hits_end (edges through faces), depth_p99_max and depth_max [m] below the body's true surface.
+
+    Raises:
+        ValueError: seconds out of range, or a motion of other vertices.
+        SimulationError: the run diverged.
+    """
+    check_number(seconds, "play: seconds", 0.0, 1e4)
+    started = time.perf_counter()
+    first = draped.simulation.scene
+    cloth = dataclasses.replace(
+        first.cloths[0], mesh=Mesh(draped.positions, draped.faces, draped.garment.quads)
+    )
+    scene = dataclasses.replace(
+        first,
+        cloths=(cloth,),
+        bodies=(dataclasses.replace(draped.body, motion=motion),),
+        step=1.0 / (60.0 * _PARTS),
+        duration=seconds,
+        name=f"{first.name}, moving",
+    )
+    substeps = max(8, math.ceil(draped.simulation.pipeline.substeps / _PARTS))
+    simulation = Simulation(scene, dataclasses.replace(draped.simulation.fidelity, substeps=substeps))
+    told: list[tuple[int, float]] = []
+    deepest = 0.0
+    if on_frame is not None:
+        on_frame(simulation)
+    for _ in range(round(60.0 * seconds)):
+        simulation.step(_PARTS)
+        depths = simulation.body_mesh.penetration(simulation.positions, simulation.faces, _SAMPLES)
+        told.append((int(simulation.last_intersections.hit_count), float(np.percentile(depths, 99))))
+        deepest = max(deepest, float(depths.max()))
+        if on_frame is not None:
+            on_frame(simulation)
+    report: dict[str, Any] = {
+        "worn": _worn(draped, simulation),
+        "hits_max": max((hits for hits, _ in told), default=0),
+        "hits_end": told[-1][0] if told else 0,
+        "depth_p99_max": max((depth for _, depth in told), default=0.0),
+        "depth_max": deepest,
+        "walk_seconds": simulation.time,
+        "seconds": time.perf_counter() - started,
+    }
+    return Walked(simulation, report, tuple(told))
+
+
+def _worn(draped: Draped, simulation: Simulation) -> bool | None:
+    """Whether the body goes through every opening where it is now."""
+    if draped.body.limbs:
+        return None
+    (moving,) = simulation.scene.bodies
+    now = Body((moving.at(simulation.time), moving.mesh.faces), moving.name)
+    tolerance = simulation.fidelity.body_tolerance
+    maps = BodyMaps([now], simulation.fidelity.map_size, tolerance + REACH)
+    expected = expected_limbs(draped.garment, now)
+    found = threadings(draped.garment, np.array(simulation.positions), now, maps, expected)
+    return all(opening.right for opening in found)

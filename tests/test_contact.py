@@ -49,8 +49,7 @@ def narrowed(x, p, quads, kinds, thickness, apart=None, w=None) -> tuple[Contact
     )
     pairs.watched.quads[:], pairs.watched.kinds[:], pairs.watched.rest[:] = quads, kinds, thickness
     # nothing is known of any distance: every pair is measured
-    near_pairs.begin(x, pairs.watched, len(quads))
-    pairs.watched.least[near_pairs.WAY] = 1.0
+    near_pairs.begin(x + 1.0, pairs.watched, len(quads))
     buffers = ContactBuffers(16)
     apart = np.zeros(len(x), np.bool_) if apart is None else apart
     buffers.narrow(x, p, pairs, apart, False, 0.0)
@@ -434,6 +433,23 @@ def test_pairs_that_are_not_near_stay_apart(seed):
         x = p
     assert left > 1000, "nothing is far: the test shows nothing"
     assert measured < 0.2 * 40 * len(quads), "everything is measured anew: the test shows nothing"
+
+
+def test_what_swings_beside_a_pile_does_not_matter_to_it():
+    """A vertex without pairs moves to and fro by far more than any pair could bear: nothing is measured again."""
+    scene = stack(3, 3, gap=0.02, thickness=0.01)
+    quads, kinds = every_quad(ClothModel(scene).faces)
+    x = np.concatenate([scene.start, [[2.0, 0.0, 0.0]]])
+    p = x.copy()
+    p[-1, 1] = 0.02  # all go 0.4 mm on average, in the other direction
+    buffers, watched = narrowed(x, x, quads, kinds, 0.01)
+    pairs = SimpleNamespace(watched=watched, count=len(quads), model=SimpleNamespace(inverse_masses=np.ones(len(x))))
+    apart = np.zeros(len(x), np.bool_)
+    for _ in range(5):
+        assert buffers.narrow(x, p, pairs, apart, False, 0.0) == 0
+        assert buffers.narrow(p, x, pairs, apart, False, 0.0) == 0
+    p[7, 1] += 0.03  # a vertex of the pile
+    assert 0 < buffers.narrow(x, p, pairs, apart, False, 0.0) < 0.2 * len(quads)
 
 
 def test_redundant_pairs_press_once():

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from clothgym._jit import bare, device, inlined, kernel
-from clothgym.kernels.near_pairs import KEEP, OPEN, PROOF, look, spread
+from clothgym.kernels.near_pairs import KEEP, look, stir
 
 _ATTEMPTS = 4
 
@@ -144,12 +144,12 @@ def prove_all(x, p, inverse_masses, thickness, watched, count, apart, both, leav
     zoned = 0
     for attempt in range(_ATTEMPTS):
         new = 0
-        reach = spread(p, watched)
-        if not reach <= watched.least[OPEN]:
+        _, far, unproved = stir(p, watched)
+        if far:
             new = look(x, p, watched, count, apart, both, leave)
-            reach = spread(p, watched)
+            _, _, unproved = stir(p, watched)
         measured += new
-        if (attempt > 0 and new == 0) or reach <= watched.least[PROOF]:
+        if (attempt > 0 and new == 0) or not unproved:
             return measured, repaired, zoned, 0
         pushed, moved = keep_apart(
             x, p, inverse_masses, thickness, watched.quads, watched.kinds, count, watched.separation, rounds

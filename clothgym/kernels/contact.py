@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from clothgym._jit import bare, device, kernel
 from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import add_grip_forces, hold_grips, keep_above_ground
-from clothgym.kernels.near_pairs import LOOK, NEAR, look, spread
+from clothgym.kernels.near_pairs import NEAR, look, roots, stir
 from clothgym.kernels.spring_runs import project_in_runs
 
-_LEEWAY = 0.02
-"""Thicknesses that sweeps are taken to move a vertex: contacts that are open by more than that and the expected motion rest."""
+_LEEWAY = 0.05
+"""Thicknesses that sweeps are taken to move a vertex, beside what the fastest one moves: contacts that are open by more than
+that and their expected motion rest."""
 _NO_WEIGHT = 1e-12
 """Less is what rounding leaves of a vertex that takes no part."""
 CROSSING = 0.9
@@ -153,9 +154,24 @@ def _collect(watched, count, inverse_masses, yield_force, contacts):
 
 
 @bare
-def _start(x, p, contacts, count, reach):
-    """Those of `count` contacts that may press on the way from x to p, with multipliers of zero; `reach` is the relative motion
-    since the last look. Returns how many."""
+def _longest(x, p):
+    """Longest way from x to p [m]."""
+    most = 0.0
+    for i in range(x.shape[0]):
+        dx = p[i, 0] - x[i, 0]
+        dy = p[i, 1] - x[i, 1]
+        dz = p[i, 2] - x[i, 2]
+        square = dx * dx + dy * dy + dz * dz
+        most = square if square > most else most
+    return math.sqrt(most)
+
+
+@bare
+def _start(x, p, contacts, count, sizes):
+    """Those of `count` contacts that may press on the way from x to p, with multipliers of zero; sizes (V,): squares of
+    how far vertices have moved since the last look, less what all have; afterwards their roots. Returns how many."""
+    most = 2.0 * roots(sizes)
+    leeway = _longest(x, p)
     live = 0
     quads = contacts.quads
     weights = contacts.weights
@@ -169,7 +185,13 @@ def _start(x, p, contacts, count, reach):
     ends = contacts.ends
     for n in range(count):
         pressed[n] = 0.0
-        if clear[n] > reach + _LEEWAY * rest[n] or mobility[n] == 0.0:
+        room = clear[n] - leeway - _LEEWAY * rest[n]
+        if room > most or mobility[n] == 0.0:
+            continue
+        reach = 0.0
+        for k in range(4):  # those without weight too: no branch
+            reach += abs(weights[n, k]) * sizes[np.uint64(quads[n, k])]
+        if room > reach:
             continue
         rows[live] = n
         live += 1
@@ -189,15 +211,15 @@ def _start(x, p, contacts, count, reach):
 @bare
 def narrowed(x, p, watched, count, inverse_masses, apart, both, yield_force, known, contacts):
     """See `narrow`."""
-    motion = spread(p, watched)
+    near, far, _ = stir(p, watched)
     measured = 0
-    if known < 0 or not motion <= watched.least[LOOK]:
+    if known < 0 or near or far:
         measured = look(x, p, watched, count, apart, both, yield_force == 0.0)
-        motion = spread(p, watched)
+        stir(p, watched)
         known = _collect(watched, count, inverse_masses, yield_force, contacts)
         if known > contacts.rest.shape[0]:
             return known, 0, measured
-    return known, _start(x, p, contacts, known, motion), measured
+    return known, _start(x, p, contacts, known, watched.sizes), measured
 
 
 @kernel

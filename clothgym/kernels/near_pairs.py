@@ -1,9 +1,10 @@
 """Pairs of primitives under watch within a step: which of them are near, by what they move and not by measuring them again.
 
-A pair is far until all vertices together have moved so much that it may be within 1.25 thicknesses. Near pairs keep their
-closest points and the direction between them until they have moved by a quarter of a thickness against each other; a gap along
-that direction can fall by no more than that. A look over all pairs brings this up to date. It is due when some vertex has moved
-further against the mean than the pair that can bear least allows: a pile at rest is looked at once a step.
+A pair is far until its vertices have moved so much that it may be within 1.25 thicknesses. Near pairs keep their closest points
+and the direction between them until they have moved by a quarter of a thickness against each other; a gap along that direction
+can fall by no more than that. What a pair can bear is shared out among its vertices, and each vertex keeps the least of its
+shares, counted against what all vertices move on average. A look over all pairs is due when a vertex has used up its own:
+a pile at rest is looked at once a step, and what swings beside it does not matter to it.
 
 Pairs are "quads" of four vertex ids; kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
 """
@@ -34,9 +35,11 @@ _LEAD = 4.0
 FAR, NEAR, TOUCHING, LEFT = 0, 1, 2, 3
 """Touching pairs have no side to keep; those left alone lie beside an intersection."""
 
-LOOK, OPEN, PROOF, WAY = 0, 1, 2, 3
-"""Places in `Watched.least`: relative motion [m] since the last look up to which no pair needs another; no far pair comes near;
-all near ones are proved apart. Then the sum of all such motions from look to look."""
+_NOT_YET = math.nan
+"""Allowed before the first look: no way is within it."""
+LOOK, OPEN, PROOF = 0, 1, 2
+"""Columns of `Watched.allowed`. Beyond it: near pairs need another look; far ones may have come near; near ones are no longer
+proved apart."""
 
 
 class Watched(NamedTuple):
@@ -45,20 +48,22 @@ class Watched(NamedTuple):
     quads: NDArray  # (K, 4) int32 vertex ids
     kinds: NDArray  # (K,) uint8
     rest: NDArray  # (K,) thickness [m]
-    gaps: NDArray  # (K,) distance when measured [m]
+    gaps: NDArray  # (K,) distance when measured [m]; far: at `start`, or less
     ways: NDArray  # (K,) near: how far they have moved against each other since [m]
-    holds: NDArray  # (K,) far: way of all vertices [m] up to which it is; near: -inf; left alone: inf
     states: NDArray  # (K,) uint8
     weights: (
         NDArray  # (K, 4) near, and all where pairs were found: signed barycentric weights of the closest points, sum 0
     )
     separation: NDArray  # (K, 4) near: direction from the second side to the first, distance; -1 = nothing is certified
-    seen: NDArray  # (V, 3) where all vertices were at the last look [m]
+    start: NDArray  # (V, 3) where all vertices were when pairs were found [m]
+    seen: NDArray  # (V, 3) where they were at the last look [m]
     links: NDArray  # (K,) int64 scratch: the next near pair of the same vertex with a triangle, -1 = none
     heads: NDArray  # (V,) int64 scratch: the first one
-    moves: NDArray  # (V, 6) scratch: way since the last look, way ahead [m]
-    sizes: NDArray  # (V,) scratch: way since the last look, less what all went on average [m]
-    least: NDArray  # (4,) [m] what the pair that can bear least allows, and how far all have come
+    moves: NDArray  # (V, 9) scratch: way since the last look, way ahead, way since the start [m]
+    sizes: NDArray  # (V,) way since the last look, less what all went on average [m]; after `stir` its square
+    aheads: NDArray  # (V,) scratch: way ahead, less what all go on average [m]
+    allowed: NDArray  # (V, 3) [m] such ways since the last look that the pairs of each vertex can bear
+    spent: NDArray  # (V,) bool scratch: far pairs of this vertex are looked at
 
 
 @inlined
@@ -102,21 +107,48 @@ def _drift(p, seen):
 
 
 @bare
-def spread(p, watched):
-    """Twice the longest way [m] since the last look, less what all go on average: no two vertices moved further against
-    each other."""
-    seen = watched.seen
+def _squares_of_ways(p, seen, squares):
+    """Squares of how far each vertex has come from `seen`, less what all have on average."""
     mx, my, mz = _drift(p, seen)
-    most = 0.0
-    total = 0.0
     for i in range(p.shape[0]):
         dx = p[i, 0] - seen[i, 0] - mx
         dy = p[i, 1] - seen[i, 1] - my
         dz = p[i, 2] - seen[i, 2] - mz
-        square = dx * dx + dy * dy + dz * dz
-        most = square if square > most else most
-        total += square
-    return 2.0 * math.sqrt(most) + (total - total)
+        squares[i] = dx * dx + dy * dy + dz * dz
+
+
+@bare
+def roots(sizes):
+    """The roots of squares, in their place; returns the greatest."""
+    one = 0.0
+    two = 0.0
+    for i in range(sizes.shape[0]):
+        size = math.sqrt(sizes[i])
+        sizes[i] = size
+        # two of them, for each comparison waits for the one before
+        if i % 2 == 0:
+            one = size if size > one else one
+        else:
+            two = size if size > two else two
+    return one if one > two else two
+
+
+@bare
+def stir(p, watched):
+    """Squares of the ways since the last look into `sizes`; whether near pairs need another look, far pairs need one, and near
+    pairs are not proved apart. All three where a position is not finite."""
+    squares = watched.sizes
+    allowed = watched.allowed
+    _squares_of_ways(p, watched.seen, squares)
+    near = True
+    far = True
+    proved = True
+    for i in range(p.shape[0]):
+        square = squares[i]
+        near &= square <= allowed[i, LOOK] * allowed[i, LOOK]
+        far &= square <= allowed[i, OPEN] * allowed[i, OPEN]
+        proved &= square <= allowed[i, PROOF] * allowed[i, PROOF]
+    return not near, not far, not proved
 
 
 @inlined
@@ -146,16 +178,27 @@ def _relative(moves, quads, n, kind, c):
 
 
 @inlined
-def _at_most(sizes, quads, n, kind):
-    """No less than `_relative`, and far cheaper."""
+def _sides(sizes, quads, n, kind):
+    """The greater of the sizes on either side; their sum is no less than `_relative`, and far cheaper."""
     a = sizes[np.uint64(quads[n, 0])]
     b = sizes[np.uint64(quads[n, 1])]
     c = sizes[np.uint64(quads[n, 2])]
     d = sizes[np.uint64(quads[n, 3])]
     c = c if c > d else d
     if kind == 0:
-        return a + (b if b > c else c)
-    return (a if a > b else b) + c
+        return a, (b if b > c else c)
+    return (a if a > b else b), c
+
+
+@inlined
+def _allow(allowed, column, quads, n, kind, room, one, two):
+    """Shares out what a pair can bear: between a third and two thirds for a side, more for the one that will move more."""
+    total = one + two
+    share = room * (one + total) / (3.0 * total) if total > 0.0 else 0.5 * room
+    for k in range(4):
+        v = np.uint64(quads[n, k])
+        mine = share if k == 0 or (k == 1 and kind == 1) else room - share
+        allowed[v, column] = min(allowed[v, column], mine)
 
 
 @inlined
@@ -185,6 +228,40 @@ def _measure(x, n, quads, kinds, weights, separation, known):
 
 
 @bare
+def _begin_look(x, p, watched):
+    """Ways of the vertices since the last look and ahead, and whose far pairs have to be looked at. Returns whether this is the
+    first look, where pairs were found."""
+    moves = watched.moves
+    seen = watched.seen
+    start = watched.start
+    sizes = watched.sizes
+    aheads = watched.aheads
+    allowed = watched.allowed
+    spent = watched.spent
+    _squares_of_ways(x, seen, sizes)
+    _squares_of_ways(p, x, aheads)
+    roots(sizes)
+    roots(aheads)
+    short = 0.5 * _REFRESH * watched.rest[0]
+    first = math.isnan(allowed[0, OPEN])
+    for i in range(x.shape[0]):
+        # what is due within the next few substeps is not left to looks of their own
+        needed = aheads[i] + min(_LEAD * aheads[i], short)
+        left = allowed[i, OPEN] - sizes[i]
+        spent[i] = not needed <= left
+        allowed[i, OPEN] = math.inf if spent[i] else left
+        allowed[i, LOOK] = math.inf
+        allowed[i, PROOF] = math.inf
+        for c in range(3):
+            moves[i, c] = x[i, c] - seen[i, c]
+            moves[i, 3 + c] = p[i, c] - x[i, c]
+            moves[i, 6 + c] = x[i, c] - start[i, c]
+            first &= x[i, c] == start[i, c]
+            seen[i, c] = x[i, c]
+    return first
+
+
+@bare
 def look(x, p, watched, count, apart, both, leave):
     """Brings what is known of all pairs to positions x, for a substep that leads to p.
 
@@ -192,88 +269,76 @@ def look(x, p, watched, count, apart, both, leave):
     an intersection (apart (V,)) are left alone with `leave`, else near without a certificate. Returns how many pairs were
     measured.
     """
-    moves = watched.moves
-    seen = watched.seen
-    sizes = watched.sizes
-    way = spread(x, watched)
-    # where pairs were found, their closest points are known; all may have gone a common way since
-    known = watched.least[WAY] == 0.0 and way == 0.0
-    came = watched.least[WAY] + way
-    mx, my, mz = _drift(x, seen)
-    for i in range(x.shape[0]):
-        dx = x[i, 0] - seen[i, 0] - mx
-        dy = x[i, 1] - seen[i, 1] - my
-        dz = x[i, 2] - seen[i, 2] - mz
-        sizes[i] = math.sqrt(dx * dx + dy * dy + dz * dz)
-        for c in range(3):
-            moves[i, c] = x[i, c] - seen[i, c]
-            moves[i, 3 + c] = p[i, c] - x[i, c]
-            seen[i, c] = x[i, c]
-    ahead = spread(p, watched)
-    # what is due within the next few substeps is not left to looks of their own
-    goes = came + ahead + min(_LEAD * ahead, 0.5 * _REFRESH * watched.rest[0])
+    known = _begin_look(x, p, watched)
     # taken out of their tuple once: in the loop, each would be counted as a reference
+    moves = watched.moves
+    sizes = watched.sizes
+    aheads = watched.aheads
+    allowed = watched.allowed
+    spent = watched.spent
     quads = watched.quads
     kinds = watched.kinds
     rests = watched.rest
     gaps = watched.gaps
     ways = watched.ways
-    holds = watched.holds
     states = watched.states
     weights = watched.weights
     separation = watched.separation
-    due = math.inf
-    proof = math.inf
-    opens = math.inf
     measured = 0
     for n in range(count):
-        hold = holds[n]
-        if hold > goes:
-            opens = hold if hold < opens else opens
+        state = states[n]
+        kind = kinds[n]
+        if state == FAR:
+            due = spent[np.uint64(quads[n, 0])] | spent[np.uint64(quads[n, 1])]
+            due |= spent[np.uint64(quads[n, 2])] | spent[np.uint64(quads[n, 3])]
+            if not due:
+                continue
+        elif state == LEFT:
             continue
         rest = rests[n]
-        kind = kinds[n]
-        if states[n] == NEAR:
+        one, two = _sides(aheads, quads, n, kind)
+        if state == NEAR:
             gap = gaps[n]
             limit = min(_REFRESH * rest, 0.5 * gap)
-            way = ways[n] + _at_most(sizes, quads, n, kind)
+            first, second = _sides(sizes, quads, n, kind)
+            way = ways[n] + first + second
             if not way <= 0.5 * limit:
                 way = ways[n] + _relative(moves, quads, n, kind, 0)
             if way <= 0.5 * limit:
                 ways[n] = way
-                due = min(due, limit - way)
+                _allow(allowed, LOOK, quads, n, kind, limit - way, one, two)
                 if separation[n, 3] >= 0.0:
-                    proof = min(proof, gap - way - KEEP * min(gap, rest))
+                    _allow(allowed, PROOF, quads, n, kind, gap - way - KEEP * min(gap, rest), one, two)
+                continue
+        elif state == FAR:
+            # it can have come nearer by no more than its sides have moved against each other since the start
+            gap = gaps[n] - _relative(moves, quads, n, kind, 6)
+            if gap > _AWAY * rest and gap - one - two > ACTIVE * rest:
+                _allow(allowed, OPEN, quads, n, kind, gap - ACTIVE * rest, one, two)
                 continue
         # what is known no longer suffices
         beside = left_apart(apart, quads, n, kind, both)
         separation[n, 3] = -1.0
         if beside and leave:
             states[n] = LEFT
-            holds[n] = math.inf
             continue
         measured += 1
         gap = _measure(x, n, quads, kinds, weights, separation, known)
-        gaps[n] = gap
         ways[n] = 0.0
-        holds[n] = -math.inf
-        if gap == 0.0:
-            states[n] = TOUCHING
-            due = 0.0
-        elif gap > _AWAY * rest and gap - _relative(moves, quads, n, kind, 3) > ACTIVE * rest:
+        if gap > _AWAY * rest and gap - one - two > ACTIVE * rest:
             states[n] = FAR
-            holds[n] = came + gap - ACTIVE * rest
-            opens = min(opens, holds[n])
+            _allow(allowed, OPEN, quads, n, kind, gap - ACTIVE * rest, one, two)
+            gap -= _relative(moves, quads, n, kind, 6)  # later ways are counted from the start
+        elif gap == 0.0:
+            states[n] = TOUCHING
+            _allow(allowed, LOOK, quads, n, kind, 0.0, one, two)
         else:
             states[n] = NEAR
-            due = min(due, _REFRESH * rest, 0.5 * gap)
+            _allow(allowed, LOOK, quads, n, kind, min(_REFRESH * rest, 0.5 * gap), one, two)
             if not beside:
                 separation[n, 3] = gap
-                proof = min(proof, gap - KEEP * min(gap, rest))
-    watched.least[WAY] = came
-    watched.least[OPEN] = opens - came
-    watched.least[LOOK] = min(due, opens - came)
-    watched.least[PROOF] = proof
+                _allow(allowed, PROOF, quads, n, kind, gap - KEEP * min(gap, rest), one, two)
+        gaps[n] = gap
     return measured
 
 
@@ -283,7 +348,6 @@ def begin(start, watched, count):
     for n in range(count):
         watched.states[n] = FAR
         watched.separation[n, 3] = -1.0
-        watched.holds[n] = watched.gaps[n] - ACTIVE * watched.rest[n]
+    watched.start[:] = start
     watched.seen[:] = start
-    watched.least[:] = -1.0
-    watched.least[WAY] = 0.0
+    watched.allowed[:] = _NOT_YET

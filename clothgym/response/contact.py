@@ -173,16 +173,18 @@ def watched_pairs(capacity: int, vertex_count: int) -> Watched:
         np.zeros(capacity),
         np.zeros(capacity),
         np.zeros(capacity),
-        np.zeros(capacity),
         np.zeros(capacity, np.uint8),
         np.zeros((capacity, 4)),
         np.zeros((capacity, 4)),
         np.zeros((vertex_count, 3)),
+        np.zeros((vertex_count, 3)),
         np.zeros(capacity, np.int64),
         np.zeros(vertex_count, np.int64),
-        np.zeros((vertex_count, 6)),
+        np.zeros((vertex_count, 9)),
         np.zeros(vertex_count),
-        np.zeros(4),
+        np.zeros(vertex_count),
+        np.zeros((vertex_count, 3)),
+        np.zeros(vertex_count, np.bool_),
     )
 
 

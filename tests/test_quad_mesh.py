@@ -58,6 +58,17 @@ def test_grids_of_the_paper(name, body):
         assert area.sum() == pytest.approx(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum(), rel=1e-9)
 
 
+def test_edges_of_a_side_get_pieces_by_their_shares():
+    """The top of a dress, two shoulders and a neckline, is a side of the grid whatever its pieces' length."""
+    pattern = wardrobe.tailored("dress", bodies.load("female"))
+    for panel, mesh in zip(pattern.panels, mesh_quads(pattern, grid=(16, 32))):
+        for side, pieces in zip(panel_sides(panel), (15, 31, 15, 31)):
+            lengths = np.array([panel.length(k) for k in side])
+            counts = np.array([len(mesh.edge_vertices[k]) - 1 for k in side])
+            assert counts.sum() == pieces
+            assert counts == pytest.approx(pieces * lengths / lengths.sum(), abs=1.5)
+
+
 def test_border_is_that_of_the_panel_and_seams_have_equal_counts():
     pattern = wardrobe.tailored("dress", bodies.load("female"))
     meshes = dict(zip((p.name for p in pattern.panels), mesh_quads(pattern, 0.03)))

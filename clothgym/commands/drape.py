@@ -34,6 +34,8 @@ _UNITS = {
     "contour_length": "m",
     "penetration_p999": "m",
     "penetration_max": "m",
+    "contact_gap_median": "m",
+    "contact_gap_p99": "m",
     "shift": "m",
     "mean_speed": "m/s",
     "p99_speed": "m/s",

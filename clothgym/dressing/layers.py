@@ -18,7 +18,7 @@ from clothgym.dressing.draping import Draped
 from clothgym.dressing.worn import expected_limbs
 from clothgym.mesh import Mesh
 from clothgym.rig import Limb
-from clothgym.scene import Scene
+from clothgym.scene import Cloth, Scene
 from clothgym.simulation import Simulation
 
 LAYER = 6e-3
@@ -100,7 +100,7 @@ def scene_of(garments: Sequence[Draped], what: str, damping: float | None = None
     for other in garments[1:]:
         if not _same(other.body, body):
             raise ValueError(f"{what}: garments on different bodies: {body.name!r} and {other.body.name!r}")
-    cloths = []
+    cloths: list[Cloth] = []
     below = [_surface(body.mesh)]
     for garment in garments:
         (cloth,) = garment.simulation.scene.cloths

@@ -17,10 +17,10 @@ _ABOVE_SHOULDERS = 0.02
 """[m] shoulder seams start this far above the shoulders."""
 _BESIDE_ARM = 0.012
 """[m] armpits start this far below the arms."""
-_CAP = 0.42
+_CAP = 0.6
 """Height of a sleeve's cap, over that which would be as long as the armhole. The armpit comes to lie beside the trunk, inwards
 of where it is drawn: a sleeve with the whole cap would begin above the shoulder and stand up there with its end."""
-_DROPPED = 1.25
+_DROPPED = 1.2
 """Shoulders of a garment with such sleeves end this much further out than the body's."""
 
 
@@ -206,7 +206,7 @@ def t_shirt(s: Sizes) -> Pattern:
 def shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the wrists."""
     cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.065 * s.height, 0.02 * s.height)
-    return _with_sleeves("shirt", s, cut, 0.97, 1.7)
+    return _with_sleeves("shirt", s, cut, 0.88, 1.7)
 
 
 DRAFTS = {"sleeveless_shirt": sleeveless_shirt, "vest": vest, "dress": dress, "t_shirt": t_shirt, "shirt": shirt}

@@ -59,7 +59,9 @@ def load(
     if len(shapes) < 2:
         raise ValueError(f"{path}: one frame; a sequence needs two or more")
     if not np.isfinite(shapes).all():
-        raise ValueError(f"{frames or path}: frame {int(np.argmin(np.isfinite(shapes).all(axis=(1, 2))))} is not finite")
+        raise ValueError(
+            f"{frames or path}: frame {int(np.argmin(np.isfinite(shapes).all(axis=(1, 2))))} is not finite"
+        )
     if times is None or rate is not None:
         times = np.arange(len(shapes)) / (RATE if rate is None else rate)
     # what is one vertex must be one in every frame
@@ -153,7 +155,9 @@ def _folder(path: Path) -> tuple[FloatArray, IntArray]:
     for name in names[1:]:
         vertices, others = bodies.read(name)
         if vertices.shape != first.shape or not np.array_equal(others, faces):
-            raise ValueError(f"{name}: not the vertices and triangles of {names[0].name}: every frame must have the same")
+            raise ValueError(
+                f"{name}: not the vertices and triangles of {names[0].name}: every frame must have the same"
+            )
         shapes.append(vertices)
     return np.stack(shapes), faces
 

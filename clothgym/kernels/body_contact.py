@@ -289,7 +289,11 @@ def _test_faces(starts, p, inverse_masses, contact, body, texel_size, dt):
             ux, uy, uz = 0.0, 0.0, 0.0
             if flow.shape[0] > 0:
                 at = 3 * side
-                ux, uy, uz = np.float64(flow[texel, at]), np.float64(flow[texel, at + 1]), np.float64(flow[texel, at + 2])
+                ux, uy, uz = (
+                    np.float64(flow[texel, at]),
+                    np.float64(flow[texel, at + 1]),
+                    np.float64(flow[texel, at + 2]),
+                )
             _push(pushes, a, wa, amount, nx, ny, nz, ux, uy, uz)
             _push(pushes, b, wb, amount, nx, ny, nz, ux, uy, uz)
             _push(pushes, c, wc, amount, nx, ny, nz, ux, uy, uz)

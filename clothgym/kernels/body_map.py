@@ -270,7 +270,21 @@ def _in_views(x, y, z, start_x, start_y, start_z, came_from, body, two, three, t
     if two is not None and texel != -1:  # None is left out when this is compiled
         passed = texel >= 0 and plane_distance(start_x, start_y, start_z, texel, side, body, age) >= 0.0
         texel, side, distance, passed = _in_view_too(
-            x, y, z, start_x, start_y, start_z, (came_from >> 2) & 3, two, body, tolerance, age, texel, side, distance, passed
+            x,
+            y,
+            z,
+            start_x,
+            start_y,
+            start_z,
+            (came_from >> 2) & 3,
+            two,
+            body,
+            tolerance,
+            age,
+            texel,
+            side,
+            distance,
+            passed,
         )
         if three is not None and texel != -1:
             texel, side, distance, passed = _in_view_too(

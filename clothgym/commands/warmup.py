@@ -233,6 +233,7 @@ def _body() -> None:
             simulation = _steps(scene, fidelity, 1)
         for collider in ("boxes", "dop"):
             _steps(scene, dataclasses.replace(cg.Fidelity.preset("draft"), body_collider=collider), 1)
+        _steps(scene, dataclasses.replace(cg.Fidelity.preset("draft"), body_texels=True), 1)
     simulation.body_mesh.penetration(lifted, faces)
     simulation.pipeline.stages[0].body.maps.query(lifted, 0.01)
     BodyBoxes(ball.vertices, ball.faces).query(lifted, 0.01)

@@ -183,7 +183,7 @@ def test_planes_of_vertices_are_at_the_exact_distance(collider):
     distance = (found.planes[:, :3] * points).sum(axis=1) + found.planes[:, 3]
     assert distance[near] == pytest.approx(exact[near], abs=1e-9)
     assert np.linalg.norm(found.planes[near, :3], axis=1) == pytest.approx(1.0)
-    count = int(found.count[0])
+    count = int(found.number[0])
     assert count > 0
     weights = found.weights[:count]
     assert weights.sum(axis=1) == pytest.approx(1.0)

@@ -348,7 +348,7 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
     weights = found.weights
     planes = found.point_planes
     flow = found.point_flow
-    for n in range(found.count[0]):
+    for n in range(found.number[0]):
         a, b, c = corners[n, 0], corners[n, 1], corners[n, 2]
         wa, wb, wc = weights[n, 0], weights[n, 1], weights[n, 2]
         distance = distance_to(
@@ -369,7 +369,7 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
             _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
         if wc > 0.0:
             _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
-    if found.count[0] > 0:
+    if found.number[0] > 0:
         _give_pushes(p, inverse_masses, contact, dt)
     for i in range(p.shape[0]):
         if inverse_masses[i] == 0.0:

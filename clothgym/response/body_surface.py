@@ -128,7 +128,7 @@ class BoxResponse(SurfaceResponse):
             places, closed, self.velocities, nearest, self._near, found.point_planes, found.point_flow
         )
         kept = np.flatnonzero(self._near[:count])
-        found.count[0] = len(kept)
+        found.number[0] = len(kept)
         found.point_planes[: len(kept)] = found.point_planes[kept]
         found.point_flow[: len(kept)] = found.point_flow[kept]
         found.corners[: len(kept)] = self.faces[chosen][kept // len(self.weights)]

@@ -121,16 +121,19 @@ def _ask(parameters: dict[str, Any]) -> dict[str, Any]:
         work[triangles, "boxes"] = partial(counts[triangles].query, points, MARGIN)
         work[triangles, "exact tree"] = partial(BodyMesh(ball.vertices, ball.faces).signed_distance, points)
     times: dict[tuple[int, str], list[float]] = {key: [] for key in work}
-    for _ in range(_REPEATS):
-        for key, ask in work.items():
+    keys = list(work)
+    for n in range(_REPEATS):
+        for key in keys[n % len(keys) :] + keys[: n % len(keys)]:  # what comes first finds the caches as others left them
+            ask = work[key]
+            ask()
             began = time.process_time()
             ask()
             times[key].append(1e9 * (time.process_time() - began) / len(points))
     return {
         "points": len(points),
         "ns": [[triangles, name, statistics.median(values)] for (triangles, name), values in times.items()],
-        "box_tests": [[n, b.box_tests / (_REPEATS * len(points))] for n, b in counts.items()],
-        "face_tests": [[n, b.face_tests / (_REPEATS * len(points))] for n, b in counts.items()],
+        "box_tests": [[n, b.box_tests / (2 * _REPEATS * len(points))] for n, b in counts.items()],
+        "face_tests": [[n, b.face_tests / (2 * _REPEATS * len(points))] for n, b in counts.items()],
     }
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from clothgym import body as bodies
+from clothgym import rig
 from clothgym.arrays import FloatArray, IntArray, as_faces, check_choice, check_number
 from clothgym.body import Body
 from clothgym.motion import Keyframes
@@ -46,6 +47,8 @@ def load(
     Raises:
         ValueError: one line with the file and what is wrong with it.
     """
+    if source in rig.NAMES:
+        raise ValueError(f"body {source!r}: frames and rate are for mesh files; bodies of the package have a motion")
     path = Path(source)
     if up is not None:
         check_choice(up, "up", ("y", "z"))

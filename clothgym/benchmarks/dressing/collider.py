@@ -123,7 +123,9 @@ def _ask(parameters: dict[str, Any]) -> dict[str, Any]:
     times: dict[tuple[int, str], list[float]] = {key: [] for key in work}
     keys = list(work)
     for n in range(_REPEATS):
-        for key in keys[n % len(keys) :] + keys[: n % len(keys)]:  # what comes first finds the caches as others left them
+        for key in (
+            keys[n % len(keys) :] + keys[: n % len(keys)]
+        ):  # what comes first finds the caches as others left them
             ask = work[key]
             ask()
             began = time.process_time()

@@ -216,7 +216,11 @@ def load(
     vertices, faces = merged(*read(path))
     unit, up, notes = decide(vertices, unit, up)
     try:
-        return Body((in_world(vertices, unit, up), faces), name or path.stem, notes=tuple(f"{path.name}: {note}" for note in notes))
+        return Body(
+            (in_world(vertices, unit, up), faces),
+            name or path.stem,
+            notes=tuple(f"{path.name}: {note}" for note in notes),
+        )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -264,8 +268,8 @@ def read(path: Path) -> tuple[FloatArray, IntArray]:
 
 
 def merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Vertices (V, ...) at exactly the same place, or places, as one, faces that lose a corner by that and unused vertices left out; order of
-    first use stays."""
+    """Vertices (V, K) at exactly the same place, or places, as one, faces that lose a corner by that and unused vertices left
+    out; order of first use stays."""
     _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
     joined = first[inverse.ravel()][faces]
     whole = (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])

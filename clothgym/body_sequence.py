@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from clothgym import body as bodies
+from clothgym import rig
 from clothgym.arrays import FloatArray, IntArray, as_faces, check_choice, check_number
 from clothgym.body import Body
 from clothgym.motion import Keyframes
@@ -46,6 +47,8 @@ def load(
     Raises:
         ValueError: one line with the file and what is wrong with it.
     """
+    if source in rig.NAMES:
+        raise ValueError(f"body {source!r}: frames and rate are for mesh files; bodies of the package have a motion")
     path = Path(source)
     if up is not None:
         check_choice(up, "up", ("y", "z"))
@@ -59,7 +62,9 @@ def load(
     if len(shapes) < 2:
         raise ValueError(f"{path}: one frame; a sequence needs two or more")
     if not np.isfinite(shapes).all():
-        raise ValueError(f"{frames or path}: frame {int(np.argmin(np.isfinite(shapes).all(axis=(1, 2))))} is not finite")
+        raise ValueError(
+            f"{frames or path}: frame {int(np.argmin(np.isfinite(shapes).all(axis=(1, 2))))} is not finite"
+        )
     if times is None or rate is not None:
         times = np.arange(len(shapes)) / (RATE if rate is None else rate)
     # what is one vertex must be one in every frame
@@ -153,7 +158,9 @@ def _folder(path: Path) -> tuple[FloatArray, IntArray]:
     for name in names[1:]:
         vertices, others = bodies.read(name)
         if vertices.shape != first.shape or not np.array_equal(others, faces):
-            raise ValueError(f"{name}: not the vertices and triangles of {names[0].name}: every frame must have the same")
+            raise ValueError(
+                f"{name}: not the vertices and triangles of {names[0].name}: every frame must have the same"
+            )
         shapes.append(vertices)
     return np.stack(shapes), faces
 

@@ -23,7 +23,8 @@ FLOORS = {
     0: ("_jit", "arrays", "errors"),
     1: ("kernels",),
     2: (
-        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "motion", "torso", "body", "body_sequence", "assets"),
+        *("materials", "fidelity", "state", "mesh", "batches", "rest", "rig", "motion", "torso", "body", "assets"),
+        "body_sequence",
         *("pattern", "garmentcode", "panel_mesh", "quad_mesh", "garment", "sizes", "wardrobe"),
     ),
     3: ("scene",),

@@ -16,7 +16,7 @@ def row(**parameters):
 
 @pytest.fixture(scope="module")
 def rows():
-    shared = {"kind": "accuracy", "body": "female", "pose": "a_pose", "map_size": 180}
+    shared = {"kind": "accuracy", "body": "female", "pose": "a_pose", "map_size": 360}
     return [
         row(kind="draw", map_size=60, views="zy"),
         row(kind="ask", cuts=[1, 2]),
@@ -29,7 +29,8 @@ def test_planes_beat_depth_along_the_view_and_views_empty_what_is_not_filled(row
     assert planes["shell_missed"] < 0.01 < 0.04 < paper["shell_missed"]
     assert planes["error_median"] < 1e-4 < paper["error_median"]
     assert planes["deep_missed"] == 0.0
-    assert two["deep_missed"] < 0.005, "what one pair of coarse views has by a texel, the other may not"
+    assert two["deep_missed"] == 0.0
+    assert two["shell_missed"] < 0.01, "beside an arm before the trunk, what one pair takes for outside the other knows"
     assert two["filled"] < 0.5 * planes["filled"]
     assert planes["boxes_error"] < 1e-6, "the object-space collider is exact"
 
@@ -43,6 +44,7 @@ def test_every_case_has_its_place_in_the_tables(rows):
         "Drawing the maps",
         "Asking for 10000 vertices",
         "Answers against exact distances",
+        "Answers by region",
     ]
     assert all(isinstance(value, float) and math.isfinite(value) for value in shown[1].rows[0][1:])
     assert dressing.tables([]) == []

@@ -53,7 +53,10 @@ def drape(
     pattern: Annotated[
         str, typer.Argument(metavar="PATTERN", help="A pattern of the package (skirt, ...), or a file.")
     ],
-    body: Annotated[str, typer.Option("--body", metavar="BODY", help="female, male, a mesh file, or a sequence: a folder or an .npz.")],
+    body: Annotated[
+        str,
+        typer.Option("--body", metavar="BODY", help="female, male, a mesh file, or a sequence: a folder or an .npz."),
+    ],
     pose: Annotated[
         str, typer.Option("--pose", metavar="P", help="Of a body of the package: rest, a_pose, t_pose, arms_down, ...")
     ] = "rest",
@@ -82,12 +85,17 @@ def drape(
         typer.Option("--animate", metavar="walk", help="Then the body walks on the spot.", show_default=False),
     ] = None,
     walk_seconds: Annotated[
-        float, typer.Option("--walk-seconds", metavar="S", help="How long it walks, or a sequence is played at most [s].")
+        float,
+        typer.Option("--walk-seconds", metavar="S", help="How long it walks, or a sequence is played at most [s]."),
     ] = 6.0,
     frames: Annotated[
         str | None,
-        typer.Option("--frames", metavar="FILE", help="What a body file's vertices do: .npy (T, V, 3), .npz or a folder.",
-                     show_default=False),
+        typer.Option(
+            "--frames",
+            metavar="FILE",
+            help="What a body file's vertices do: .npy (T, V, 3), .npz or a folder.",
+            show_default=False,
+        ),
     ] = None,
     frame_rate: Annotated[
         float | None, typer.Option("--frame-rate", metavar="R", help="Frames a second; 30.", show_default=False)
@@ -195,9 +203,7 @@ def drape(
         raise typer.Exit(1)
 
 
-def _load_body(
-    source: str, pose: str, unit: str | None, up: str | None, frames: str | None, rate: float | None
-) -> Any:
+def _load_body(source: str, pose: str, unit: str | None, up: str | None, frames: str | None, rate: float | None) -> Any:
     from clothgym import body, body_sequence
 
     if frames is not None or rate is not None:

@@ -231,8 +231,9 @@ def _body() -> None:
         for integrator in ("xpbd", "symplectic_euler"):
             fidelity = dataclasses.replace(cg.Fidelity.preset("draft"), integrator=integrator, substeps=0)
             simulation = _steps(scene, fidelity, 1)
-        for other in ({"body_collider": "boxes"}, {"body_collider": "dop"}):
-            _steps(scene, dataclasses.replace(cg.Fidelity.preset("draft"), **other), 1)
+        for collider in ("boxes", "dop"):
+            _steps(scene, dataclasses.replace(cg.Fidelity.preset("draft"), body_collider=collider), 1)
+        _steps(scene, dataclasses.replace(cg.Fidelity.preset("draft"), body_texels=True), 1)
     simulation.body_mesh.penetration(lifted, faces)
     simulation.pipeline.stages[0].body.maps.query(lifted, 0.01)
     BodyBoxes(ball.vertices, ball.faces).query(lifted, 0.01)

@@ -48,9 +48,7 @@ def play(
     check_number(seconds, "play: seconds", 0.0, 1e4)
     started = time.perf_counter()
     first = draped.simulation.scene
-    cloth = dataclasses.replace(
-        first.cloths[0], mesh=Mesh(draped.positions, draped.faces, draped.garment.quads)
-    )
+    cloth = dataclasses.replace(first.cloths[0], mesh=Mesh(draped.positions, draped.faces, draped.garment.quads))
     scene = dataclasses.replace(
         first,
         cloths=(cloth,),

@@ -289,7 +289,11 @@ def _test_faces(starts, p, inverse_masses, contact, body, texel_size, dt):
             ux, uy, uz = 0.0, 0.0, 0.0
             if flow.shape[0] > 0:
                 at = 3 * side
-                ux, uy, uz = np.float64(flow[texel, at]), np.float64(flow[texel, at + 1]), np.float64(flow[texel, at + 2])
+                ux, uy, uz = (
+                    np.float64(flow[texel, at]),
+                    np.float64(flow[texel, at + 1]),
+                    np.float64(flow[texel, at + 2]),
+                )
             _push(pushes, a, wa, amount, nx, ny, nz, ux, uy, uz)
             _push(pushes, b, wb, amount, nx, ny, nz, ux, uy, uz)
             _push(pushes, c, wc, amount, nx, ny, nz, ux, uy, uz)
@@ -344,7 +348,7 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
     weights = found.weights
     planes = found.point_planes
     flow = found.point_flow
-    for n in range(found.count[0]):
+    for n in range(found.number[0]):
         a, b, c = corners[n, 0], corners[n, 1], corners[n, 2]
         wa, wb, wc = weights[n, 0], weights[n, 1], weights[n, 2]
         distance = distance_to(
@@ -365,7 +369,7 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
             _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
         if wc > 0.0:
             _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
-    if found.count[0] > 0:
+    if found.number[0] > 0:
         _give_pushes(p, inverse_masses, contact, dt)
     for i in range(p.shape[0]):
         if inverse_masses[i] == 0.0:

@@ -32,8 +32,10 @@ FRONT, BACK = 1, 2
 """Sides of the body, two bits for each pair of views; 0 = beside it, unknown."""
 
 _CANNOT_TELL = -2
-_STEP = 0.015
-"""[m] so far behind what the body has nearby a point in front of its own texel may touch that."""
+_STEP, _STEP_PIXELS = 0.015, 3.0
+"""[m] and pixels: so far behind what the body has nearby a point in front of its own texel may touch that."""
+_SHALLOW = 0.25
+"""Tolerances that such a point may be inside by another view: deeper, its own texel would show what it touches."""
 
 
 class View(NamedTuple):
@@ -244,7 +246,7 @@ def _plane_in(x, y, z, came_from, view, body, tolerance, age):
     outline = plane_distance(x, y, z, texel, 2, body, age)
     if front >= tolerance or back >= tolerance or outline >= tolerance:
         ahead = body.bounds[texel, 1] - height if front >= tolerance else height - body.bounds[texel, 0]
-        return (_CANNOT_TELL if ahead > _STEP and outline < 0.0 else -1), 0, 0.0
+        return (_CANNOT_TELL if ahead > max(_STEP, _STEP_PIXELS * view.pixel) and outline < 0.0 else -1), 0, 0.0
     if outline > front and outline > back:
         return texel, 2, outline
     if came_from == FRONT or (came_from != BACK and front >= back):
@@ -270,7 +272,21 @@ def _in_views(x, y, z, start_x, start_y, start_z, came_from, body, two, three, t
     if two is not None and texel != -1:  # None is left out when this is compiled
         passed = texel >= 0 and plane_distance(start_x, start_y, start_z, texel, side, body, age) >= 0.0
         texel, side, distance, passed = _in_view_too(
-            x, y, z, start_x, start_y, start_z, (came_from >> 2) & 3, two, body, tolerance, age, texel, side, distance, passed
+            x,
+            y,
+            z,
+            start_x,
+            start_y,
+            start_z,
+            (came_from >> 2) & 3,
+            two,
+            body,
+            tolerance,
+            age,
+            texel,
+            side,
+            distance,
+            passed,
         )
         if three is not None and texel != -1:
             texel, side, distance, passed = _in_view_too(
@@ -291,11 +307,10 @@ def _in_view_too(
     """
     other, other_side, other_distance = _plane_in(x, y, z, came_from, view, body, tolerance, age)
     if other < 0:
-        # what cannot tell leaves what touches as it is; deep inside, it would have seen it
-        return (texel if other == _CANNOT_TELL and distance > -tolerance else -1), side, distance, passed
+        return (texel if other == _CANNOT_TELL and distance > -_SHALLOW * tolerance else -1), side, distance, passed
     also = plane_distance(start_x, start_y, start_z, other, other_side, body, age) >= 0.0
     if texel < 0:
-        return (other if other_distance > -tolerance else -1), other_side, other_distance, also
+        return (other if other_distance > -_SHALLOW * tolerance else -1), other_side, other_distance, also
     if (also and not passed) or (also == passed and other_distance > distance):
         return other, other_side, other_distance, also
     return texel, side, distance, passed

@@ -28,7 +28,7 @@ class BodyPlanes(NamedTuple):
     near: NDArray  # (V,) bool: the vertex has a plane
     planes: NDArray  # (V, 4)
     flow: NDArray  # (V, 3) velocity of the body there [m/s]
-    count: NDArray  # (1,) int64: how many other points of the cloth have one
+    number: NDArray  # (1,) int64: how many other points of the cloth have one
     corners: NDArray  # (K, 3) int32 vertices around each
     weights: NDArray  # (K, 3) of these, sum 1
     point_planes: NDArray  # (K, 4)
@@ -128,7 +128,7 @@ def planes_of_pairs(x, y, body, velocities, body_edges, quads, kinds, weights, f
         velocities: (B, 3) [m/s].
         body_edges: (N,) edge of the body in pairs of the kind EDGES.
         quads, kinds, weights: as `nearest_of_pairs`; (N, 3) barycentrics, or places along both edges.
-        found: `BodyPlanes` with room for all pairs; count, corners, weights, point_planes and point_flow are written.
+        found: `BodyPlanes` with room for all pairs; number, corners, weights, point_planes and point_flow are written.
     """
     count = 0
     for n in range(kinds.shape[0]):
@@ -172,4 +172,4 @@ def planes_of_pairs(x, y, body, velocities, body_edges, quads, kinds, weights, f
         found.point_flow[count, 1] = uy
         found.point_flow[count, 2] = uz
         count += 1
-    found.count[0] = count
+    found.number[0] = count

@@ -20,13 +20,14 @@ from clothgym.kernels import body_planes
 from clothgym.kernels.body_contact import BodyContact
 from clothgym.kernels.body_planes import BodyPlanes
 from clothgym.model import ClothModel
-from clothgym.response.body import REACH, BodyResponse, face_points
+from clothgym.response.body import BodyResponse, face_points
 
 if TYPE_CHECKING:
     from clothgym.stages.frame import Frame
 
 _LEAST_REACH = 3e-3
-"""[m] the k-DOP tree looks this much further than the tolerance, or as far as a vertex goes in the substep."""
+"""[m] they look this much further than the tolerance, or as far as a vertex goes in the substep: further costs more, and what
+lies deeper than that at the end of a substep is lost to them."""
 
 
 def _room(vertex_count: int, points: int) -> BodyPlanes:
@@ -92,7 +93,7 @@ class SurfaceResponse(BodyResponse):
 class BoxResponse(SurfaceResponse):
     """Trees of boxes, one for each part of a body: the paper's comparator [Vassilev 2001, Table 1].
 
-    Vertices and points of faces look for the nearest face as far as the maps know the body beside its outline.
+    Vertices and points of faces look for the nearest face of the body.
     """
 
     def _prepare(self, model: ClothModel, fidelity: Fidelity, vertices: FloatArray) -> None:
@@ -109,7 +110,7 @@ class BoxResponse(SurfaceResponse):
         self.boxes.move(vertices)
 
     def _find(self, p: FloatArray, way: float, found: BodyPlanes) -> BodyPlanes:
-        reach = self.tolerance + max(REACH, way)
+        reach = self.tolerance + max(_LEAST_REACH, way)
         nearest = self.boxes.nearest(p, reach)
         closed = self.mesh.closed
         body_planes.planes_on_faces(p, closed, self.velocities, nearest, found.near, found.planes, found.flow)
@@ -127,7 +128,7 @@ class BoxResponse(SurfaceResponse):
             places, closed, self.velocities, nearest, self._near, found.point_planes, found.point_flow
         )
         kept = np.flatnonzero(self._near[:count])
-        found.count[0] = len(kept)
+        found.number[0] = len(kept)
         found.point_planes[: len(kept)] = found.point_planes[kept]
         found.point_flow[: len(kept)] = found.point_flow[kept]
         found.corners[: len(kept)] = self.faces[chosen][kept // len(self.weights)]
@@ -140,9 +141,7 @@ class DopResponse(SurfaceResponse):
     edges against edges."""
 
     def _prepare(self, model: ClothModel, fidelity: Fidelity, vertices: FloatArray) -> None:
-        self.scene = DopScene(
-            fidelity.k, fidelity.arity, inflation="unoriented", cones="none", self_collision=False
-        )
+        self.scene = DopScene(fidelity.k, fidelity.arity, inflation="unoriented", cones="none", self_collision=False)
         self.body = self.scene.add(vertices, self.mesh.surface.faces, cloth=False)
         self.cloth = self.scene.add(model.scene.start, model.faces)
         self._least = np.zeros(model.vertex_count)

@@ -52,7 +52,9 @@ def _tiny(quick: bool) -> list[frame.Case]:
         frame.Case("pile", pile),
         frame.Case("canonical/Closed/1/hybrid", FEW),
         frame.Case("many/Closed/1/hybrid", {**FEW, "part": "many"}),
-        frame.Case("regions/1/v=0/local", {**FEW, "part": "regions", "strategy": "local", "fields": {"velocity_share": 0.0}}),
+        frame.Case(
+            "regions/1/v=0/local", {**FEW, "part": "regions", "strategy": "local", "fields": {"velocity_share": 0.0}}
+        ),
         frame.Case("resolution/Closed/10/hybrid", {**FEW, "part": "resolution"}),
         frame.Case("others/dent/hybrid", {**FEW, "part": "others"}),
         frame.Case("map/a/hybrid", {**FEW, "part": "map", "fields": {"h0": 0.5, "velocity_share": 1.0}, "count": 1}),
@@ -259,7 +261,12 @@ def test_summary_counts_what_was_never_resolved_as_infinite() -> None:
 
 
 def test_a_ribbon_that_drifts_out_late_is_not_out_in_time() -> None:
-    parameters = {"part": "regions", "settings": {"depth": 3.0}, "strategy": "global", "fields": {"velocity_share": 1.0}}
+    parameters = {
+        "part": "regions",
+        "settings": {"depth": 3.0},
+        "strategy": "global",
+        "fields": {"velocity_share": 1.0},
+    }
     result = {"passes": [9, 40, 12, None], "right": [True, True, False, False]}
     (table,) = show.tables([{"parameters": parameters, "result": result}])
     found = dict(zip(table.columns, table.rows[0]))

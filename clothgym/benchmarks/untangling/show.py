@@ -27,7 +27,19 @@ def tables(rows: list[Row]) -> list[Table]:
     makers: tuple[Callable[[list[Row]], Table], ...] = (
         _many, _regions, _canonical, _resolution, _map, _progress, _others, _null, _faults, _dish, _overhead,
     )  # fmt: skip
-    parts = ("many", "regions", "canonical", "resolution", "map", "progress", "others", "null", "faults", "dish", "overhead")
+    parts = (
+        "many",
+        "regions",
+        "canonical",
+        "resolution",
+        "map",
+        "progress",
+        "others",
+        "null",
+        "faults",
+        "dish",
+        "overhead",
+    )
     found = squares.tables(rows)
     for part, make in zip(parts, makers):
         own = of_part(rows, part)

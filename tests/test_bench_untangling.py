@@ -94,7 +94,9 @@ def test_cases_name_every_strategy_every_kind_and_the_control(quick: bool) -> No
 
 def test_a_fall_measures_what_an_own_simulation_shows() -> None:
     result = untangling.run({**SMALL, "strategy": "global"})
-    simulation = cg.Simulation(cg.scenes.make("squares", seed=3, **SETTINGS), cg.Fidelity(untangling="global"))
+    simulation = cg.Simulation(
+        cg.scenes.make("squares", seed=3, **SETTINGS), cg.Fidelity(**squares.FIELDS, untangling="global")
+    )
     hits, lengths, strains = [], [], []
     for step in range(5):
         if step:

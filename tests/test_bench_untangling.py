@@ -52,6 +52,9 @@ def _tiny(quick: bool) -> list[frame.Case]:
         frame.Case("pile", pile),
         frame.Case("canonical/Closed/1/hybrid", FEW),
         frame.Case("many/Closed/1/hybrid", {**FEW, "part": "many"}),
+        frame.Case(
+            "regions/1/v=0/local", {**FEW, "part": "regions", "strategy": "local", "fields": {"velocity_share": 0.0}}
+        ),
         frame.Case("resolution/Closed/10/hybrid", {**FEW, "part": "resolution"}),
         frame.Case("others/dent/hybrid", {**FEW, "part": "others"}),
         frame.Case("map/a/hybrid", {**FEW, "part": "map", "fields": {"h0": 0.5, "velocity_share": 1.0}, "count": 1}),
@@ -91,7 +94,9 @@ def test_cases_name_every_strategy_every_kind_and_the_control(quick: bool) -> No
 
 def test_a_fall_measures_what_an_own_simulation_shows() -> None:
     result = untangling.run({**SMALL, "strategy": "global"})
-    simulation = cg.Simulation(cg.scenes.make("squares", seed=3, **SETTINGS), cg.Fidelity(untangling="global"))
+    simulation = cg.Simulation(
+        cg.scenes.make("squares", seed=3, **SETTINGS), cg.Fidelity(**squares.FIELDS, untangling="global")
+    )
     hits, lengths, strains = [], [], []
     for step in range(5):
         if step:
@@ -257,6 +262,22 @@ def test_summary_counts_what_was_never_resolved_as_infinite() -> None:
     assert (found["returns"], found["control"], found["work"]) == (4, None, 2.0)
 
 
+def test_a_ribbon_that_drifts_out_late_is_not_out_in_time() -> None:
+    parameters = {
+        "part": "regions",
+        "settings": {"depth": 3.0},
+        "strategy": "global",
+        "fields": {"velocity_share": 1.0},
+    }
+    result = {"passes": [9, 40, 12, None], "right": [True, True, False, False]}
+    (table,) = show.tables([{"parameters": parameters, "result": result}])
+    found = dict(zip(table.columns, table.rows[0]))
+    assert (found["correctly in 15"], found["correctly in 30"], found["correctly in 60"]) == (0.25, 0.25, 0.5)
+    assert found["so it is"] is False  # the scheme was expected to fail
+    (table,) = show.tables([{"parameters": parameters | {"strategy": "local"}, "result": result}])
+    assert table.rows[0][-1] is True
+
+
 def test_overhead_names_its_parts() -> None:
     found = overhead.run(
         {"scene": "squares", "settings": SETTINGS, "strategy": "global", "seed": 0, "steps": 0, "repeats": 1}
@@ -296,6 +317,7 @@ def test_rows_tables_plots_and_page_come_out_of_the_frame(tmp_path: Path, monkey
         "Cost",
         "Control",
         "Many instances of the canonical kinds",
+        "Why regions matter",
         "Canonical kinds, by depth",
         "Canonical kinds at depth 3, by resolution",
         "Largest correction and velocity share, depth 3",

@@ -257,6 +257,11 @@ class Enclosed:
         faces: IntArray = chosen[~(own.any(axis=1) if side == 0.0 else own.all(axis=1))]
         return faces
 
+    @cached_property
+    def _places(self) -> FloatArray:
+        """(V + M, 3) [m] of all vertices, then of those of all regions."""
+        return np.concatenate([self.hits.vertices, self.hits.vertices[self._members]])
+
     def nearest(self, region: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
         """Where a region's vertices would go back through.
 
@@ -268,12 +273,12 @@ class Enclosed:
         if len(faces) == 0:
             return vertices[:0], vertices[:0], np.zeros((0, 3)), np.zeros(0)
         triangles = np.ascontiguousarray(self.hits.surface.faces[faces])
-        points = np.concatenate([self.hits.vertices, self.hits.vertices[vertices]])
+        points, first = self._places, len(self.hits.vertices) + self.start[region]
         boxes, blocks = np.empty((len(faces), 6)), np.empty((-(-len(faces) // sides.BLOCK), 6))
         sides.face_boxes(points, triangles, boxes, blocks)
         face, weights = np.zeros(len(vertices), np.int32), np.zeros((len(vertices), 3))
         distance = np.zeros(len(vertices))
-        sides.closest_faces(points, len(self.hits.vertices), triangles, boxes, blocks, face, weights, distance)
+        sides.closest_faces(points, first, triangles, boxes, blocks, face, weights, distance)
         return vertices, faces[face], weights, distance
 
 

@@ -14,10 +14,12 @@ from clothgym.scene import Cloth, Scene
 
 WIDTH, EDGE = 0.05, 0.0125
 """Of the ribbon [m]: 120 m are 76,800 triangles."""
-_GAP = 0.01
+_GAP = 0.02
 """Between neighbouring turns of the roll [m]."""
 _FALL = 0.05
 """From the lower border of the ribbon to the dish [m]."""
+_STEEPEST = math.radians(20.0)
+"""At which the ribbon rolls, but not over the rim."""
 _LEVEL = 0.5
 """How long the dish stays level [s]."""
 _INNER = 0.05
@@ -26,7 +28,7 @@ _INNER = 0.05
 
 def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.3, seed: int = 0) -> Scene:
     """A ribbon, 5 cm wide, rolled up loosely on its edge, falls by its width into a dish that rotates and, from half a second
-    on, tilts slowly by up to 28 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices
+    on, tilts slowly by up to 20 degrees [Volino 2006, Fig. 8]. 120 m are 76,800 triangles. The dish is a cloth whose vertices
     are all pinned and move. Steps of 1/200 s."""
     rng = np.random.default_rng(seed)
     along, outer = _spiral(length)
@@ -52,7 +54,7 @@ def ribbon(length: float = 120.0, spin: float = 1.5, tilt: float = 0.3, seed: in
     motion = Turns(
         (
             Turn((0.0, 1.0, 0.0), spin, centre),
-            Turn((0.0, 0.0, 1.0), slow, centre, begin=_LEVEL, end=min(_LEVEL + math.radians(28.0) / slow, 1e6)),
+            Turn((0.0, 0.0, 1.0), slow, centre, begin=_LEVEL, end=min(_LEVEL + _STEEPEST / slow, 1e6)),
         )
     )
     dish = Cloth(bowl, material, range(len(bowl.vertices)), None, "dish", motion=motion)

@@ -47,11 +47,12 @@ def cases(quick: bool, more: Sequence[str] = ()) -> list[Case]:
     found: list[Case] = []
     found += _squares(quick, compared)
     found += _canonical(quick, [name for name in compared if name != "none"])
+    found += _regions(quick)
     found += _settings(quick)
     found += _others(quick, [name for name in compared if name != "none"])
     found += _faults(quick, more)
     found += _dish(quick)
-    found += _overhead(quick)
+    found += _overhead(quick, [name for name in compared if name != "none"])
     return found
 
 
@@ -91,7 +92,7 @@ def _canonical(quick: bool, compared: Sequence[str]) -> list[Case]:
         for depth in (1.0, 3.0) if quick else _DEPTHS:
             settings: dict[str, Any] = {"kind": kind, "depth": depth, "resolution": instances.resolution_for(depth)}
             for strategy in compared:
-                count = 3 if quick else (20 if depth < 5.0 else 12 if depth < 10.0 else 6)
+                count = 3 if quick else (12 if depth < 5.0 else 6 if depth < 10.0 else 3)
                 later: dict[str, Any] = {} if quick or depth != 3.0 else {"later": 300, "followed": 2}
                 listed.append(
                     _instances("canonical", f"{kind}/{depth:g}", "canonical", settings, strategy, count=count, **later)
@@ -115,6 +116,19 @@ def _canonical(quick: bool, compared: Sequence[str]) -> list[Case]:
     return listed
 
 
+def _regions(quick: bool) -> list[Case]:
+    """A straight contour with borders on one side, by positions alone and with velocity: what has no region has no way out."""
+    listed = []
+    for depth in (3.0,) if quick else (3.0, 5.0):
+        settings = {"kind": "BBII", "depth": depth, "resolution": instances.resolution_for(depth)}
+        for strategy in ("local", "global", BEST):
+            for share in (0.0, 1.0):
+                key, fields = f"{depth:g}/v={share:g}", {"velocity_share": share}
+                count = 5 if quick else 200 if share and depth == 3.0 else 60
+                listed.append(_instances("regions", key, "canonical", settings, strategy, fields=fields, count=count))
+    return listed
+
+
 def _settings(quick: bool) -> list[Case]:
     """h0 against the velocity share, and all passes at once against one a step."""
     listed = []
@@ -124,7 +138,7 @@ def _settings(quick: bool) -> list[Case]:
         for h0 in (0.25, 1.0) if quick else _SIZES:
             for share in (0.0, 1.0) if quick else _SHARES:
                 key, fields = f"{kind}/h0={h0:g},v={share:g}", {"h0": h0, "velocity_share": share}
-                count = 2 if quick else 10
+                count = 2 if quick else 5
                 listed.append(_instances("map", key, "canonical", settings, strategy, fields=fields, count=count))
     ways: dict[str, dict[str, Any]] = {
         "a pass a step, with velocity": {},
@@ -142,7 +156,7 @@ def _settings(quick: bool) -> list[Case]:
         for strategy in ("global", "hybrid"):
             for way, fields in ways.items():
                 key = f"{settings.get('kind', tangle)}/{way}"
-                count = 2 if quick else 10
+                count = 2 if quick else 5
                 listed.append(_instances("progress", key, tangle, settings, strategy, fields=fields, count=count))
     return listed
 
@@ -181,13 +195,15 @@ def _dish(quick: bool) -> list[Case]:
     return listed
 
 
-def _overhead(quick: bool) -> list[Case]:
+def _overhead(quick: bool, compared: Sequence[str]) -> list[Case]:
     size: dict[str, Any] = {"count": 12, "box": 0.95} if quick else {"count": 25}
-    base = {"part": "overhead", "strategy": "global", "seed": 0, "repeats": 3 if quick else 7}
-    return [
-        Case("overhead/tangled", base | {"scene": "squares", "settings": size, "steps": 0}),
-        Case("overhead/clean", base | {"scene": "pile", "settings": {"count": size["count"]}, "steps": 40}),
-    ]
+    base = {"part": "overhead", "seed": 0, "repeats": 3 if quick else 7}
+    tangled, clean = (
+        base | {"scene": "squares", "settings": size, "steps": 0},
+        base | {"scene": "pile", "settings": {"count": size["count"]}, "steps": 40},
+    )
+    listed = [Case(f"overhead/tangled/{strategy}", tangled | {"strategy": strategy}) for strategy in compared]
+    return [*listed, Case("overhead/clean/global", clean | {"strategy": "global"})]
 
 
 def prepare() -> None:
@@ -211,6 +227,7 @@ _RUNS = {
     "canonical": instances.run,
     "resolution": instances.run,
     "many": instances.run,
+    "regions": instances.run,
     "map": instances.run,
     "progress": instances.run,
     "others": instances.run,

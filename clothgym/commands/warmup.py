@@ -116,6 +116,7 @@ def _sheet() -> None:
     draft = cg.Fidelity.preset("draft")
     wide = cg.scenes.make("hanging_sheet", resolution=16)  # grids that are wide enough have their springs in runs
     _steps(wide, draft)
+    _steps(dataclasses.replace(wide, self_collision=True), draft)
     _steps(wide, dataclasses.replace(draft, precision="float32"))
     vertices, faces = _crossing_sheets()
     _steps(cg.Scene([cg.Cloth((vertices, faces))], self_collision=False), draft)

@@ -276,3 +276,46 @@ def mark_ring(neighbour_start, neighbours, seeds, rings, marked, stack):
                     stack[count] = other
                     count += 1
         start = stop
+
+
+@kernel
+def ease(x, before, edges, near, inverse_masses, sweeps, chosen, lengths):
+    """Gives back what corrections have stretched and squeezed: sweeps that bring edges (E, 2) between vertices `near` (V,) to
+    the lengths that they had in `before` (V, 3) [m]; x (V, 3) changes.
+
+    Each edge moves both its ends along itself, in inverse proportion to their masses, so linear and angular momentum stay.
+    Scratch: chosen (E,) int64, lengths (E,).
+    """
+    count = 0
+    for e in range(edges.shape[0]):
+        i = edges[e, 0]
+        j = edges[e, 1]
+        if not (near[i] and near[j]) or inverse_masses[i] + inverse_masses[j] == 0.0:
+            continue
+        dx = before[j, 0] - before[i, 0]
+        dy = before[j, 1] - before[i, 1]
+        dz = before[j, 2] - before[i, 2]
+        chosen[count] = e
+        lengths[count] = math.sqrt(dx * dx + dy * dy + dz * dz)
+        count += 1
+    for sweep in range(sweeps):
+        for n in range(count):
+            # there and back, so that no end of the list is favoured
+            m = n if sweep % 2 == 0 else count - 1 - n
+            i = edges[chosen[m], 0]
+            j = edges[chosen[m], 1]
+            dx = x[j, 0] - x[i, 0]
+            dy = x[j, 1] - x[i, 1]
+            dz = x[j, 2] - x[i, 2]
+            size = math.sqrt(dx * dx + dy * dy + dz * dz)
+            if size == 0.0:
+                continue
+            pull = (size - lengths[m]) / (size * (inverse_masses[i] + inverse_masses[j]))
+            one = inverse_masses[i] * pull
+            two = inverse_masses[j] * pull
+            x[i, 0] += one * dx
+            x[i, 1] += one * dy
+            x[i, 2] += one * dz
+            x[j, 0] -= two * dx
+            x[j, 1] -= two * dy
+            x[j, 2] -= two * dz

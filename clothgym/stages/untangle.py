@@ -26,7 +26,7 @@ class Untangle:
         self, candidates: Any, model: ClothModel, fidelity: Fidelity, pairs: FacePairs, apart: Any, windy: bool
     ) -> None:
         from clothgym.detection.intersections import Intersections
-        from clothgym.kernels.untangling import mark_ring
+        from clothgym.kernels.untangling import ease, mark_ring
         from clothgym.response import untangling
 
         self.answer = untangling.answer
@@ -46,6 +46,7 @@ class Untangle:
             self.reads = (*self.reads, "external") if windy else self.reads
         self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
         self.find, self.mark_ring = Intersections, mark_ring
+        self.ease = Ease(model, fidelity.easing, ease, mark_ring) if fidelity.easing and self.strategy else None
         self.context = untangling.Context
         self.surface = model.surface
         self.inverse_masses, self.areas = model.inverse_masses, model.vertex_areas
@@ -59,6 +60,7 @@ class Untangle:
         if self._untouched(frame):
             return
         moved = False
+        before = state.positions.copy()
         for _ in range(max(1, self.passes)):
             hits = self._look(frame)
             frame.count("edge_triangle_tests", hits.edge_triangle_tests)
@@ -77,6 +79,8 @@ class Untangle:
             if fidelity.contacts_near_hits != "keep":
                 self._mark(model, hits, inside)
         if moved:
+            if self.ease:
+                self.ease.run(state.positions, before)
             # what is tangled soon goes elsewhere than expected
             self.pairs.look(frame, self.pairs.short)
 
@@ -112,6 +116,33 @@ class Untangle:
         self.mark_ring(start, neighbours, seeds, self.fidelity.rings, self.apart, self.stack)
         if inside is not None:
             self.apart |= inside[: model.vertex_count]
+
+
+class Ease:
+    """Spreads what corrections have moved over the vertices around, until edges have the lengths that they had.
+
+    Springs would do it too, in the first substeps, and keep it as speed: a centimetre in a third of a millisecond is 30 m/s.
+    """
+
+    RINGS = 4
+    """Edges around what was moved that take part: a correction is no longer than some edges."""
+
+    def __init__(self, model: ClothModel, sweeps: int, ease: Any, mark_ring: Any) -> None:
+        self.kernel, self.mark_ring, self.sweeps = ease, mark_ring, sweeps
+        self.edges, self.inverse_masses = model.surface.edges, model.inverse_masses
+        self.start, self.neighbours, _ = model.surface.neighbourhood
+        self.near = np.zeros(model.vertex_count, np.bool_)
+        self.stack = np.zeros(model.vertex_count, np.int64)
+        self.chosen, self.lengths = np.zeros(len(self.edges), np.int64), np.zeros(len(self.edges))
+
+    def run(self, x: FloatArray, before: FloatArray) -> None:
+        """x (V, 3) [m] after the corrections is changed; `before` (V, 3) is where it was."""
+        moved = np.flatnonzero((x != before).any(axis=1))
+        self.near[:] = False
+        self.mark_ring(self.start, self.neighbours, moved, self.RINGS, self.near, self.stack)
+        self.kernel(
+            x, before, self.edges, self.near, self.inverse_masses, self.sweeps, self.chosen, self.lengths
+        )  # fmt: skip
 
 
 class UntangleOnBody(Untangle):

@@ -21,6 +21,11 @@ from clothgym.kernels.integrate import add_grip_forces
 CHUNK = 1024
 """Springs that are worked on at a time: their corrections fit into the nearest cache."""
 
+_AHEAD = 1.5
+"""How far vertices have strayed is looked up where so much growth as in the last substep would use up the slack,"""
+_KEPT_APART = 8
+"""and the state is kept there, if so many substeps have passed since."""
+
 LANES = 16
 """The number of slots is a multiple of this, so that no loop over all of them has a remainder."""
 
@@ -357,9 +362,9 @@ def _pace(course, horizon):
     return (highest(high_a) - lowest(low_a)) / horizon, (highest(high_b) - lowest(low_b)) / horizon
 
 
-@kernel
-def xpbd_substeps_in_runs(x, v, space, springs, radii, motion, ground, grips, first, last):
-    """`integrate.xpbd_substeps` for springs in runs, in double precision, from substep `first` up to `last`."""
+@bare
+def _substeps(x, v, space, springs, radii, motion, ground, grips, first, last):
+    """See `xpbd_substeps_in_runs`."""
     kept = 1.0 / (1.0 + motion.damping * motion.dt)
     inverse = 1.0 / motion.dt
     _load(x, v, space, springs, motion, kept, False)
@@ -372,15 +377,18 @@ def xpbd_substeps_in_runs(x, v, space, springs, radii, motion, ground, grips, fi
     _store(x, v, space, springs, motion.dt, False)
 
 
-@kernel
-def xpbd_substeps_along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon):
-    """The same as long as a sheet keeps to its course: a motion that began at substep `base` and takes `horizon` of them.
+@bare
+def _copy(values, to):
+    for i in range(values.shape[0]):
+        for c in range(3):
+            to[i, c] = values[i, c]
 
-    Returns `last`, or the first substep after which the sheet may have left the course; the state is then left alone.
 
-    How far vertices have strayed is known from time to time. From one substep to the next it grows by no more than moves
-    differ from those expected, and they differ by no more than the box of all moves is wide in the plane: as long as that is
-    below the slack, no vertex has to be looked at.
+@bare
+def _along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon, forces):
+    """See `xpbd_substeps_along`; returns the substep of the state, and the first one that leaves the course.
+
+    forces: (A, 3) scratch: those of the grips at that state.
     """
     kept = 1.0 / (1.0 + motion.damping * motion.dt)
     inverse = 1.0 / motion.dt
@@ -388,9 +396,21 @@ def xpbd_substeps_along(x, v, space, springs, radii, motion, ground, grips, firs
     axes = course.axes
     pace_a, pace_b = _pace(course, horizon)
     _load(x, v, space, springs, motion, kept, False)
+    _copy(grips.forces, forces)
+    known = first
     strayed = _strayed(space.x[0], space.x[1], space.x[2], (first - base) / horizon, course)
+    growth = 0.0
     for n in range(first, last):
         if n > first:
+            looked = strayed + _AHEAD * growth > slack
+            if looked:
+                strayed = _strayed(space.p[0], space.p[1], space.p[2], (n - base) / horizon, course)
+                if not strayed <= slack:
+                    return known, n - 1
+                if n - known >= _KEPT_APART:
+                    _store(x, v, space, springs, motion.dt, False)
+                    _copy(grips.forces, forces)
+                    known = n
             wide = pace_a
             deep = pace_b
             for axis in range(3):
@@ -398,17 +418,43 @@ def xpbd_substeps_along(x, v, space, springs, radii, motion, ground, grips, firs
                 wide += abs(axes[0, 1, axis]) * moved
                 deep += abs(axes[0, 2, axis]) * moved
             # a box that grows on either side grows its half diagonal by no more than half its growth's
-            strayed += (0.5 + 1e-9) * math.sqrt(wide * wide + deep * deep)
-            if not strayed <= slack:
-                strayed = _strayed(space.x[0], space.x[1], space.x[2], (n - base) / horizon, course)
+            growth = (0.5 + 1e-9) * math.sqrt(wide * wide + deep * deep)
+            if not looked:
+                strayed += growth
                 if not strayed <= slack:
-                    return n - 1
+                    strayed = _strayed(space.x[0], space.x[1], space.x[2], (n - base) / horizon, course)
+                    if not strayed <= slack:
+                        return known, n - 1
         _substep_sweeps(space, springs, None, None, None, radii, motion, ground, grips, n, False)
         add_grip_forces(grips, motion.dt)
     if not _strayed(space.p[0], space.p[1], space.p[2], (last - base) / horizon, course) <= slack:
-        return last - 1
+        return known, last - 1
     _store(x, v, space, springs, motion.dt, False)
-    return last
+    return last, last
+
+
+@kernel
+def xpbd_substeps_in_runs(x, v, space, springs, radii, motion, ground, grips, first, last):
+    """`integrate.xpbd_substeps` for springs in runs, in double precision, from substep `first` up to `last`."""
+    _substeps(x, v, space, springs, radii, motion, ground, grips, first, last)
+
+
+@kernel
+def xpbd_substeps_along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon, forces):
+    """The same as long as a sheet keeps to its course: a motion that began at substep `base` and takes `horizon` of them.
+    Returns the substep that was not made because it might not; forces (A, 3) is scratch.
+
+    How far vertices have strayed is known from time to time. From one substep to the next it grows by no more than moves
+    differ from those expected, and they differ by no more than the box of all moves is wide in the plane: as long as that is
+    below the slack, no vertex has to be looked at. Where one has to, the state is kept now and then: when a substep is seen to
+    leave the course it is too late to take it back, and those before it are made once more from there.
+    """
+    known, left = _along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon, forces)
+    if known < last:
+        _copy(forces, grips.forces)
+        if left > known:
+            _substeps(x, v, space, springs, radii, motion, ground, grips, known, left)
+    return left
 
 
 @kernel

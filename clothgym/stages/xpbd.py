@@ -127,7 +127,7 @@ class Runs:
             np.zeros(len(entries), dtype),
             np.array([1.0, 1e-20], dtype),
         )
-        self._kernels = spring_runs
+        self._kernels, self._forces = spring_runs, np.zeros((0, 3))
         self._substeps = spring_runs.xpbd_substeps_in_single_runs if single else spring_runs.xpbd_substeps_in_runs
 
     def step(self, x, v, radii, motion, ground, grips, first, last) -> None:  # type: ignore[no-untyped-def]
@@ -137,14 +137,11 @@ class Runs:
     def step_along(self, x, v, radii, motion, ground, grips, first, last, course, base, horizon) -> int:  # type: ignore[no-untyped-def]
         """The same in double precision, as long as a sheet keeps to its course: a motion that began at substep `base` and takes
         `horizon` of them. Returns the substep that was not made because it might not."""
-        forces = grips.forces.copy() if len(grips.forces) else None
-        done = self._kernels.xpbd_substeps_along(
-            x, v, self.space, self.arrays, radii, motion, ground, grips, first, last, course, base, horizon
-        )
-        if done < last:
-            # which substep leaves the course is seen when it is too late to go back: what comes before is made once more
-            if forces is not None:
-                grips.forces[:] = forces
-            if done > first:
-                self.step(x, v, radii, motion, ground, grips, first, done)
-        return int(done)
+        if len(self._forces) < len(grips.forces):
+            self._forces = np.zeros(grips.forces.shape)
+        return int(
+            self._kernels.xpbd_substeps_along(
+                x, v, self.space, self.arrays, radii, motion, ground, grips, first, last, course, base, horizon,
+                self._forces[: len(grips.forces)],
+            )
+        )  # fmt: skip

@@ -121,9 +121,10 @@ def test_a_fall_measures_what_an_own_simulation_shows() -> None:
     json.dumps(json_ready(result), allow_nan=False)
 
 
-def test_an_instance_is_resolved_and_followed() -> None:
+@pytest.mark.parametrize("strategy", ["hybrid", "stall"])  # which remembers something
+def test_an_instance_is_resolved_and_followed(strategy: str) -> None:
     drawn = draw("Closed", 1.0, 10, 0)
-    fidelity = cg.Fidelity(**(instances.FIELDS | {"untangling": "hybrid"}))
+    fidelity = cg.Fidelity(**(instances.FIELDS | {"untangling": strategy}))
     found = instances.resolve(drawn, fidelity, 20, later=5)
     assert (found["reason"], found["right"]) == ("resolved", True)
     assert 1 <= found["passes"] <= 20

@@ -11,7 +11,7 @@ import clothgym as cg
 from clothgym.benchmarks.untangling.measure import Histories, untangling_share, work_units
 from clothgym.detection.tracking import ContourTracker
 
-FIELDS: dict[str, Any] = {"substeps": 4, "sweeps": 8, "velocity_share": 0.0, "untangling_passes": 3}
+FIELDS: dict[str, Any] = {"substeps": 4, "sweeps": 8, "velocity_share": 0.0, "untangling_passes": 3, "easing": 0}
 """Small fresh tangles between layers that press on each other: positions only, some passes a step."""
 
 

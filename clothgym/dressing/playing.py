@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,16 +13,13 @@ from clothgym.arrays import check_number
 from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.dressing.draping import Draped
-from clothgym.dressing.walking import Walked
+from clothgym.dressing.layers import effort_of
+from clothgym.dressing.walking import PARTS, Walked, frame_by_frame
 from clothgym.dressing.worn import expected_limbs, threadings
 from clothgym.mesh import Mesh
 from clothgym.motion import Motion
 from clothgym.response.body import REACH
 from clothgym.simulation import Simulation
-
-_PARTS = 2
-"""Steps in a frame of 1/60 s."""
-_SAMPLES = 10
 
 
 def play(
@@ -53,33 +49,18 @@ def play(
         first,
         cloths=(cloth,),
         bodies=(dataclasses.replace(draped.body, motion=motion),),
-        step=1.0 / (60.0 * _PARTS),
+        step=1.0 / (60.0 * PARTS),
         duration=seconds,
         name=f"{first.name}, moving",
     )
-    substeps = max(8, math.ceil(draped.simulation.pipeline.substeps / _PARTS))
-    simulation = Simulation(scene, dataclasses.replace(draped.simulation.fidelity, substeps=substeps))
-    told: list[tuple[int, float]] = []
-    deepest = 0.0
-    if on_frame is not None:
-        on_frame(simulation)
-    for _ in range(round(60.0 * seconds)):
-        simulation.step(_PARTS)
-        depths = simulation.body_mesh.penetration(simulation.positions, simulation.faces, _SAMPLES)
-        told.append((int(simulation.last_intersections.hit_count), float(np.percentile(depths, 99))))
-        deepest = max(deepest, float(depths.max()))
-        if on_frame is not None:
-            on_frame(simulation)
+    simulation = Simulation(scene, effort_of([draped], PARTS))
+    frames, told = frame_by_frame(simulation, seconds, on_frame)
     report: dict[str, Any] = {
         "worn": _worn(draped, simulation),
-        "hits_max": max((hits for hits, _ in told), default=0),
-        "hits_end": told[-1][0] if told else 0,
-        "depth_p99_max": max((depth for _, depth in told), default=0.0),
-        "depth_max": deepest,
-        "walk_seconds": simulation.time,
+        **told,
         "seconds": time.perf_counter() - started,
     }
-    return Walked(simulation, report, tuple(told))
+    return Walked(simulation, report, frames)
 
 
 def _worn(draped: Draped, simulation: Simulation) -> bool | None:

@@ -20,7 +20,7 @@ from clothgym.simulation import Simulation
 
 STRIDE = 1.2
 """[s] two steps."""
-_PARTS = 2
+PARTS = 2
 """Steps in a frame of 1/60 s: what a limb moves in one must not be more than its cloth can follow."""
 _DAMPING = 2.0
 """[1/s] least damping of walking cloth: it moves through air."""
@@ -64,33 +64,44 @@ def walk(
     check_number(seconds, "walk: seconds", 0.0, 1e4)
     started = time.perf_counter()
     scene = walking_scene(worn, seconds, pose)
-    simulation = Simulation(scene, effort_of(worn, _PARTS))
-    told: list[tuple[int, float]] = []
-    deepest = 0.0
-    if on_frame is not None:
-        on_frame(simulation)
-    for _ in range(round(60.0 * seconds)):
-        simulation.step(_PARTS)
-        depths = simulation.body_mesh.penetration(simulation.positions, simulation.faces, _SAMPLES)
-        told.append((int(simulation.last_intersections.hit_count), float(np.percentile(depths, 99))))
-        deepest = max(deepest, float(depths.max()))
-        if on_frame is not None:
-            on_frame(simulation)
+    simulation = Simulation(scene, effort_of(worn, PARTS))
+    frames, told = frame_by_frame(simulation, seconds, on_frame)
     (moving,) = scene.bodies
     limbs = rig.load(moving.name).limbs(moving.motion.rotations(simulation.time))  # type: ignore[union-attr]
     found = openings(worn, simulation, limbs)
     report = {
         "worn": all(opening.right for opening in found),
         "openings": [{"expected": w.expected, "through": list(w.through), "right": w.right} for w in found],
-        "hits_max": max((hits for hits, _ in told), default=0),
-        "hits_longest": _longest([hits > 0 for hits, _ in told]),
-        "hits_end": told[-1][0] if told else 0,
-        "depth_p99_max": max((depth for _, depth in told), default=0.0),
-        "depth_max": deepest,
-        "walk_seconds": simulation.time,
+        "hits_longest": _longest([hits > 0 for hits, _ in frames]),
+        **told,
         "seconds": time.perf_counter() - started,
     }
-    return Walked(simulation, report, tuple(told))
+    return Walked(simulation, report, frames)
+
+
+def frame_by_frame(
+    simulation: Simulation, seconds: float, on_frame: Callable[[Simulation], None] | None
+) -> tuple[tuple[tuple[int, float], ...], dict[str, Any]]:
+    """Lets a dressed body move in frames of 1/60 s, `PARTS` steps each: `Walked.frames`, and what its report tells of them."""
+    frames: list[tuple[int, float]] = []
+    deepest = 0.0
+    if on_frame is not None:
+        on_frame(simulation)
+    for _ in range(round(60.0 * seconds)):
+        simulation.step(PARTS)
+        depths = simulation.body_mesh.penetration(simulation.positions, simulation.faces, _SAMPLES)
+        frames.append((int(simulation.last_intersections.hit_count), float(np.percentile(depths, 99))))
+        deepest = max(deepest, float(depths.max()))
+        if on_frame is not None:
+            on_frame(simulation)
+    told = {
+        "hits_max": max((hits for hits, _ in frames), default=0),
+        "hits_end": frames[-1][0] if frames else 0,
+        "depth_p99_max": max((depth for _, depth in frames), default=0.0),
+        "depth_max": deepest,
+        "walk_seconds": simulation.time,
+    }
+    return tuple(frames), told
 
 
 def walking_scene(garments: Sequence[Draped], seconds: float = 6.0, pose: str = "rest") -> Scene:
@@ -104,7 +115,7 @@ def walking_scene(garments: Sequence[Draped], seconds: float = 6.0, pose: str = 
     if body.name not in rig.NAMES:
         raise ValueError(f"walk: body {body.name!r}: has no skeleton; expected one of {', '.join(rig.NAMES)}")
     moving = dataclasses.replace(body, motion=Walk(body.name, pose, stride=STRIDE))
-    step = 1.0 / (60.0 * _PARTS)
+    step = 1.0 / (60.0 * PARTS)
     return dataclasses.replace(scene, bodies=(moving,), step=step, duration=seconds, name=f"{scene.name}, walking")
 
 

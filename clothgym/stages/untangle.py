@@ -26,7 +26,7 @@ class Untangle:
         self, candidates: Any, model: ClothModel, fidelity: Fidelity, pairs: FacePairs, apart: Any, windy: bool
     ) -> None:
         from clothgym.detection.intersections import Intersections
-        from clothgym.kernels.untangling import ease, mark_ring
+        from clothgym.kernels.untangling import mark_ring
         from clothgym.response import untangling
 
         self.answer = untangling.answer
@@ -46,7 +46,7 @@ class Untangle:
             self.reads = (*self.reads, "external") if windy else self.reads
         self.candidates, self.fidelity, self.pairs, self.apart = candidates, fidelity, pairs, apart
         self.find, self.mark_ring = Intersections, mark_ring
-        self.ease = Ease(model, fidelity.easing, ease, mark_ring) if fidelity.easing and self.strategy else None
+        self.ease = Ease(model, fidelity.easing) if fidelity.easing and self.strategy else None
         self.context = untangling.Context
         self.surface = model.surface
         self.inverse_masses, self.areas = model.inverse_masses, model.vertex_areas
@@ -60,7 +60,6 @@ class Untangle:
         if self._untouched(frame):
             return
         moved = False
-        before = state.positions.copy()
         for _ in range(max(1, self.passes)):
             hits = self._look(frame)
             frame.count("edge_triangle_tests", hits.edge_triangle_tests)
@@ -74,13 +73,15 @@ class Untangle:
                 frame.untangling_passes += 1
                 context = self.context(hits, self.inverse_masses, self.areas, self.h0, fidelity.g0, state.memory)
                 moves, inside = self.answer(self.strategy, context)
+                if self.ease and not moved:
+                    self.ease.begin(state.positions)
                 self.channel.apply(frame, moves[: model.vertex_count])
                 moved = True
             if fidelity.contacts_near_hits != "keep":
                 self._mark(model, hits, inside)
         if moved:
             if self.ease:
-                self.ease.run(state.positions, before)
+                self.ease.run(state.positions)
             # what is tangled soon goes elsewhere than expected
             self.pairs.look(frame, self.pairs.short)
 
@@ -127,21 +128,28 @@ class Ease:
     RINGS = 4
     """Edges around what was moved that take part: a correction is no longer than some edges."""
 
-    def __init__(self, model: ClothModel, sweeps: int, ease: Any, mark_ring: Any) -> None:
+    def __init__(self, model: ClothModel, sweeps: int) -> None:
+        from clothgym.kernels.untangling import ease, mark_ring
+
         self.kernel, self.mark_ring, self.sweeps = ease, mark_ring, sweeps
         self.edges, self.inverse_masses = model.surface.edges, model.inverse_masses
         self.start, self.neighbours, _ = model.surface.neighbourhood
+        self.before = np.zeros((model.vertex_count, 3))
         self.near = np.zeros(model.vertex_count, np.bool_)
         self.stack = np.zeros(model.vertex_count, np.int64)
         self.chosen, self.lengths = np.zeros(len(self.edges), np.int64), np.zeros(len(self.edges))
 
-    def run(self, x: FloatArray, before: FloatArray) -> None:
-        """x (V, 3) [m] after the corrections is changed; `before` (V, 3) is where it was."""
-        moved = np.flatnonzero((x != before).any(axis=1))
+    def begin(self, x: FloatArray) -> None:
+        """Positions (V, 3) [m] that corrections will move."""
+        self.before[:] = x
+
+    def run(self, x: FloatArray) -> None:
+        """x (V, 3) [m] after the corrections is changed."""
+        moved = np.flatnonzero((x != self.before).any(axis=1))
         self.near[:] = False
         self.mark_ring(self.start, self.neighbours, moved, self.RINGS, self.near, self.stack)
         self.kernel(
-            x, before, self.edges, self.near, self.inverse_masses, self.sweeps, self.chosen, self.lengths
+            x, self.before, self.edges, self.near, self.inverse_masses, self.sweeps, self.chosen, self.lengths
         )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ FAKE = '''
 """A benchmark that costs nothing; the environment slows it down or breaks it."""
 
 import os
+import sys
 import time
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def prepare():
 
 def run(parameters):
     n = parameters["n"]
-    print("noise on standard output")
+    sys.stdout.write("noise on standard output\\n")  # one write: two workers' lines cannot mix
     time.sleep(float(os.environ.get("FAKE_SLEEP", "0")))
     if os.environ.get("FAKE_FAIL") == str(n):
         raise ValueError(f"n = {n} cannot be\\nand a second line")

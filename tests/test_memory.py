@@ -60,7 +60,11 @@ def test_candidates_and_contacts_allocate_nothing_once_their_buffers_have_grown(
         found.expect(vertices, travel)
         found.gather()
         contacts.narrow(vertices, moved, found, apart, False, 0.0)
-        found.outdated(moved, 1.0)
+        assert not found.outdated(moved, 1.0)
+        away = moved[7] + 1.5 * found.slack[7]
+        moved[7], kept = away, moved[7].copy()
+        assert found.outdated(moved, 1.0) and found.widen(moved, 1.0)
+        moved[7] = kept
 
     most, left = peak(look)
     assert most < SMALL and left < SMALL

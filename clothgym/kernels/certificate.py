@@ -13,6 +13,24 @@ _ATTEMPTS = 4
 
 
 @inlined
+def _along(p, separation, n, v):
+    return separation[n, 0] * p[v, 0] + separation[n, 1] * p[v, 1] + separation[n, 2] * p[v, 2]
+
+
+@inlined
+def _gap(p, quads, n, kind, separation):
+    """Gap along the pair's separating direction."""
+    a = _along(p, separation, n, np.uint64(quads[n, 0]))
+    b = _along(p, separation, n, np.uint64(quads[n, 1]))
+    c = _along(p, separation, n, np.uint64(quads[n, 2]))
+    d = _along(p, separation, n, np.uint64(quads[n, 3]))
+    high = c if c > d else d
+    if kind == 0:
+        return a - (b if b > high else high)
+    return (a if a < b else b) - high
+
+
+@inlined
 def _extremes(p, quads, n, kind, separation):
     """Gap along the pair's separating direction and the two vertices that bound it."""
     nx = separation[n, 0]
@@ -38,8 +56,9 @@ def _extremes(p, quads, n, kind, separation):
 
 @inlined
 def _needed(separation, thickness, quads, n):
-    h = min(thickness[quads[n, 0]], thickness[quads[n, 1]], thickness[quads[n, 2]], thickness[quads[n, 3]])
-    return KEEP * min(separation[n, 3], h)
+    one = min(thickness[np.uint64(quads[n, 0])], thickness[np.uint64(quads[n, 1])])
+    two = min(thickness[np.uint64(quads[n, 2])], thickness[np.uint64(quads[n, 3])])
+    return KEEP * min(separation[n, 3], one, two)
 
 
 @bare
@@ -66,11 +85,11 @@ def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation,
         for n in range(count):
             if separation[n, 3] < 0.0:
                 continue
-            gap, i, j = _extremes(p, quads, n, kinds[n], separation)
             need = _needed(separation, thickness, quads, n)
-            if gap >= need:
+            if _gap(p, quads, n, kinds[n], separation) >= need:
                 continue
             bad += 1
+            gap, i, j = _extremes(p, quads, n, kinds[n], separation)
             total = inverse_masses[i] + inverse_masses[j]
             if total == 0.0:
                 continue
@@ -92,8 +111,7 @@ def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation,
         for n in range(count):
             if separation[n, 3] < 0.0:
                 continue
-            gap, _, _ = _extremes(p, quads, n, kinds[n], separation)
-            if gap >= _needed(separation, thickness, quads, n) * 0.5:
+            if _gap(p, quads, n, kinds[n], separation) >= _needed(separation, thickness, quads, n) * 0.5:
                 continue
             joined = False
             root = _find(parent, quads[n, 0])

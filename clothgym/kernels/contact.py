@@ -9,14 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import bare, device, kernel
+from clothgym.kernels.bulk import roots
 from clothgym.kernels.elastic import project_elastic
 from clothgym.kernels.integrate import add_grip_forces, hold_grips, keep_above_ground
-from clothgym.kernels.near_pairs import NEAR, look, roots, stir
+from clothgym.kernels.near_pairs import NEAR, TURN, look, stir
 from clothgym.kernels.spring_runs import project_in_runs
 
 _LEEWAY = 0.05
 """Thicknesses that sweeps are taken to move a vertex, beside what the fastest one moves: contacts that are open by more than
 that and their expected motion rest."""
+_MEASURED = 1.5
+"""Thicknesses, beside what it is open, by which the closest points of a near pair are no longer opposite each other at most."""
 _NO_WEIGHT = 1e-12
 """Less is what rounding leaves of a vertex that takes no part."""
 CROSSING = 0.9
@@ -167,9 +170,10 @@ def _longest(x, p):
 
 
 @bare
-def _start(x, p, contacts, count, sizes):
+def _start(x, p, contacts, count, sizes, turn):
     """Those of `count` contacts that may press on the way from x to p, with multipliers of zero; sizes (V,): squares of
-    how far vertices have moved since the last look, less what all have; afterwards their roots. Returns how many."""
+    how far vertices have moved since the last look, less what all have, and `turn` how far those have turned [rad]; afterwards
+    their roots. Returns how many."""
     most = 2.0 * roots(sizes)
     leeway = _longest(x, p)
     live = 0
@@ -185,7 +189,7 @@ def _start(x, p, contacts, count, sizes):
     ends = contacts.ends
     for n in range(count):
         pressed[n] = 0.0
-        room = clear[n] - leeway - _LEEWAY * rest[n]
+        room = clear[n] - leeway - _LEEWAY * rest[n] - turn * (clear[n] + _MEASURED * rest[n])
         if room > most or mobility[n] == 0.0:
             continue
         reach = 0.0
@@ -219,7 +223,7 @@ def narrowed(x, p, watched, count, inverse_masses, apart, both, yield_force, kno
         known = _collect(watched, count, inverse_masses, yield_force, contacts)
         if known > contacts.rest.shape[0]:
             return known, 0, measured
-    return known, _start(x, p, contacts, known, watched.sizes), measured
+    return known, _start(x, p, contacts, known, watched.sizes, watched.bulk[TURN]), measured
 
 
 @kernel

@@ -11,7 +11,7 @@ from clothgym.kernels.certificate import prove_all
 from clothgym.kernels.clamped import settle
 from clothgym.kernels.contact import narrowed, sweep_all, take_rebound
 from clothgym.kernels.integrate import accelerate, add_grip_forces, finish_substep
-from clothgym.kernels.proximity import strays
+from clothgym.kernels.strays import strays
 
 CONTACTS, MEASURED, REPAIRED, ZONED, UNPROVED = range(5)
 """Places in the counts of work."""

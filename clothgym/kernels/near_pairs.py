@@ -6,6 +6,9 @@ can fall by no more than that. What a pair can bear is shared out among its vert
 shares, counted against what all vertices move on average. A look over all pairs is due when a vertex has used up its own:
 a pile at rest is looked at once a step, and what swings beside it does not matter to it.
 
+What all vertices move on average is a shift and a turn (`kernels.bulk`): no distance gets shorter by it, so only what vertices
+move beside it can bring them nearer, all along a straight way.
+
 Pairs are "quads" of four vertex ids; kind 0 is (v, a, b, c), kind 1 is (a0, a1, b0, b1).
 """
 
@@ -18,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import bare, inlined, kernel
+from clothgym.kernels.bulk import BULK, bulk_of, roots, squares_of_ways
 from clothgym.kernels.primitives import closest_on_edges, closest_on_triangle
 
 ACTIVE = 1.25
@@ -29,6 +33,10 @@ KEEP = 0.2
 _REFRESH = 0.25
 """Thicknesses, and twice the share of the distance, that near pairs move before their closest points are found again."""
 
+_TURNED = 0.1
+"""Radians that all turn on average before closest points are found again: directions go with the cloth, what is kept of them
+does not."""
+
 _LEAD = 4.0
 """Substeps like the next one for which far pairs should not need another look, if that is a short way."""
 
@@ -37,6 +45,8 @@ FAR, NEAR, TOUCHING, LEFT = 0, 1, 2, 3
 
 _NOT_YET = math.nan
 """Allowed before the first look: no way is within it."""
+TURN = BULK
+"""Place in `Watched.bulk`."""
 LOOK, OPEN, PROOF = 0, 1, 2
 """Columns of `Watched.allowed`. Beyond it: near pairs need another look; far ones may have come near; near ones are no longer
 proved apart."""
@@ -60,6 +70,7 @@ class Watched(NamedTuple):
     links: NDArray  # (K,) int64 scratch: the next near pair of the same vertex with a triangle, -1 = none
     heads: NDArray  # (V,) int64 scratch: the first one
     moves: NDArray  # (V, 9) scratch: way since the last look, way ahead, way since the start [m]
+    bulk: NDArray  # (BULK + 1,) of `seen`, and how far all have turned since then [rad]
     sizes: NDArray  # (V,) way since the last look, less what all went on average [m]; after `stir` its square
     aheads: NDArray  # (V,) scratch: way ahead, less what all go on average [m]
     allowed: NDArray  # (V, 3) [m] such ways since the last look that the pairs of each vertex can bear
@@ -94,53 +105,14 @@ def left_apart(apart, quads, n, kind, both):
 
 
 @bare
-def _drift(p, seen):
-    """How far all went on average."""
-    mx = 0.0
-    my = 0.0
-    mz = 0.0
-    for i in range(p.shape[0]):
-        mx += p[i, 0] - seen[i, 0]
-        my += p[i, 1] - seen[i, 1]
-        mz += p[i, 2] - seen[i, 2]
-    return mx / p.shape[0], my / p.shape[0], mz / p.shape[0]
-
-
-@bare
-def _squares_of_ways(p, seen, squares):
-    """Squares of how far each vertex has come from `seen`, less what all have on average."""
-    mx, my, mz = _drift(p, seen)
-    for i in range(p.shape[0]):
-        dx = p[i, 0] - seen[i, 0] - mx
-        dy = p[i, 1] - seen[i, 1] - my
-        dz = p[i, 2] - seen[i, 2] - mz
-        squares[i] = dx * dx + dy * dy + dz * dz
-
-
-@bare
-def roots(sizes):
-    """The roots of squares, in their place; returns the greatest."""
-    one = 0.0
-    two = 0.0
-    for i in range(sizes.shape[0]):
-        size = math.sqrt(sizes[i])
-        sizes[i] = size
-        # two of them, for each comparison waits for the one before
-        if i % 2 == 0:
-            one = size if size > one else one
-        else:
-            two = size if size > two else two
-    return one if one > two else two
-
-
-@bare
 def stir(p, watched):
     """Squares of the ways since the last look into `sizes`; whether near pairs need another look, far pairs need one, and near
     pairs are not proved apart. All three where a position is not finite."""
     squares = watched.sizes
     allowed = watched.allowed
-    _squares_of_ways(p, watched.seen, squares)
-    near = True
+    turn = squares_of_ways(p, watched.seen, watched.bulk, squares)
+    watched.bulk[TURN] = turn
+    near = turn <= _TURNED
     far = True
     proved = True
     for i in range(p.shape[0]):
@@ -192,9 +164,11 @@ def _sides(sizes, quads, n, kind):
 
 @inlined
 def _allow(allowed, column, quads, n, kind, room, one, two):
-    """Shares out what a pair can bear: between a third and two thirds for a side, more for the one that will move more."""
+    """Shares out what a pair can bear among both sides: what they will move, and between a third and two thirds of the rest,
+    more for the one that will move more."""
     total = one + two
-    share = room * (one + total) / (3.0 * total) if total > 0.0 else 0.5 * room
+    share = (one + total) / (3.0 * total) if total > 0.0 else 0.5
+    share = one + share * (room - total) if room > total else share * room
     for k in range(4):
         v = np.uint64(quads[n, k])
         mine = share if k == 0 or (k == 1 and kind == 1) else room - share
@@ -230,7 +204,7 @@ def _measure(x, n, quads, kinds, weights, separation, known):
 @bare
 def _begin_look(x, p, watched):
     """Ways of the vertices since the last look and ahead, and whose far pairs have to be looked at. Returns whether this is the
-    first look, where pairs were found."""
+    first look, where pairs were found, and how far all turned since the last one [rad]."""
     moves = watched.moves
     seen = watched.seen
     start = watched.start
@@ -238,8 +212,9 @@ def _begin_look(x, p, watched):
     aheads = watched.aheads
     allowed = watched.allowed
     spent = watched.spent
-    _squares_of_ways(x, seen, sizes)
-    _squares_of_ways(p, x, aheads)
+    turn = squares_of_ways(x, seen, watched.bulk, sizes)
+    bulk_of(x, watched.bulk)
+    squares_of_ways(p, x, watched.bulk, aheads)
     roots(sizes)
     roots(aheads)
     short = 0.5 * _REFRESH * watched.rest[0]
@@ -258,7 +233,7 @@ def _begin_look(x, p, watched):
             moves[i, 6 + c] = x[i, c] - start[i, c]
             first &= x[i, c] == start[i, c]
             seen[i, c] = x[i, c]
-    return first
+    return first, turn
 
 
 @bare
@@ -269,7 +244,7 @@ def look(x, p, watched, count, apart, both, leave):
     an intersection (apart (V,)) are left alone with `leave`, else near without a certificate. Returns how many pairs were
     measured.
     """
-    known = _begin_look(x, p, watched)
+    known, turn = _begin_look(x, p, watched)
     # taken out of their tuple once: in the loop, each would be counted as a reference
     moves = watched.moves
     sizes = watched.sizes
@@ -301,7 +276,7 @@ def look(x, p, watched, count, apart, both, leave):
             gap = gaps[n]
             limit = min(_REFRESH * rest, 0.5 * gap)
             first, second = _sides(sizes, quads, n, kind)
-            way = ways[n] + first + second
+            way = ways[n] + first + second + turn * (gap + ways[n])
             if not way <= 0.5 * limit:
                 way = ways[n] + _relative(moves, quads, n, kind, 0)
             if way <= 0.5 * limit:
@@ -342,12 +317,28 @@ def look(x, p, watched, count, apart, both, leave):
     return measured
 
 
+@bare
+def _append(watched, first, count):
+    """Pairs of which nothing is known but their distances at the start."""
+    for n in range(first, count):
+        watched.states[n] = FAR
+        watched.separation[n, 3] = -1.0
+
+
 @kernel
 def begin(start, watched, count):
     """Pairs whose distances are known at positions `start` (V, 3), before any look."""
-    for n in range(count):
-        watched.states[n] = FAR
-        watched.separation[n, 3] = -1.0
     watched.start[:] = start
     watched.seen[:] = start
+    bulk_of(start, watched.bulk)
     watched.allowed[:] = _NOT_YET
+    _append(watched, 0, count)
+
+
+@kernel
+def join(watched, first, count):
+    """The same for pairs `first` to `count`, beside others that have been looked at."""
+    _append(watched, first, count)
+    for n in range(first, count):
+        for k in range(4):
+            watched.allowed[watched.quads[n, k], OPEN] = _NOT_YET

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import bare, inlined, kernel
+from clothgym._jit import inlined, kernel
 from clothgym.kernels.primitives import (
     closest_on_edges,
     closest_on_triangle,
@@ -148,6 +148,43 @@ def _edge_edge_distance(x, a0, a1, b0, b1):
     return _closest_on_edges(x, a0, a1, b0, b1)[2]
 
 
+@inlined
+def face_pair(x, u, thickness, slack, v, a, b, c, found, quads, kinds, rest, gaps, weights):
+    """Writes vertex v and triangle (a, b, c) as pair `found` if they can come within their thickness, see `gather_quads`;
+    returns how many pairs there are then."""
+    least = min(thickness[v], thickness[a], thickness[b], thickness[c])
+    reach = least + slack[v]
+    reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
+    if _vertex_triangle_apart(x, v, a, b, c, reach):
+        return found
+    wa, wb, wc = closest_on_triangle(x, v, a, b, c)
+    dx = x[v, 0] - wa * x[a, 0] - wb * x[b, 0] - wc * x[c, 0]
+    dy = x[v, 1] - wa * x[a, 1] - wb * x[b, 1] - wc * x[c, 1]
+    dz = x[v, 2] - wa * x[a, 2] - wb * x[b, 2] - wc * x[c, 2]
+    gap = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if gap <= reach:
+        ids = (np.uint64(v), np.uint64(a), np.uint64(b), np.uint64(c))
+        found = _emit(quads, kinds, rest, gaps, weights, found, ids, 0, least, gap, (1.0, -wa, -wb, -wc))
+    return found
+
+
+@inlined
+def edge_pair(x, u, thickness, slack, a0, a1, b0, b1, found, quads, kinds, rest, gaps, weights):
+    """The same for edges (a0, a1) and (b0, b1)."""
+    least = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
+    reach = least + max(
+        slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
+        slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
+    )
+    if _edges_apart(x, a0, a1, b0, b1, reach):
+        return found
+    s, t, gap = _closest_on_edges(x, a0, a1, b0, b1)
+    if gap <= reach:
+        ids = (np.uint64(a0), np.uint64(a1), np.uint64(b0), np.uint64(b1))
+        found = _emit(quads, kinds, rest, gaps, weights, found, ids, 1, least, gap, (1.0 - s, s, -(1.0 - t), -t))
+    return found
+
+
 @kernel
 def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, quads, kinds, rest, gaps, weights):
     """Pairs of primitives that can come within their thickness while every vertex moves by u, within its slack [m].
@@ -160,61 +197,16 @@ def gather_quads(x, u, faces, edges, thickness, slack, vertex_face, edge_edge, q
     """
     found = 0
     for n in range(vertex_face.shape[0]):
-        v = vertex_face[n, 0]
-        face = vertex_face[n, 1]
-        a = faces[face, 0]
-        b = faces[face, 1]
-        c = faces[face, 2]
-        least = min(thickness[v], thickness[a], thickness[b], thickness[c])
-        reach = least + slack[v]
-        reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
-        if _vertex_triangle_apart(x, v, a, b, c, reach):
-            continue
-        wa, wb, wc = closest_on_triangle(x, v, a, b, c)
-        dx = x[v, 0] - wa * x[a, 0] - wb * x[b, 0] - wc * x[c, 0]
-        dy = x[v, 1] - wa * x[a, 1] - wb * x[b, 1] - wc * x[c, 1]
-        dz = x[v, 2] - wa * x[a, 2] - wb * x[b, 2] - wc * x[c, 2]
-        gap = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if gap <= reach:
-            closest = (1.0, -wa, -wb, -wc)
-            found = _emit(quads, kinds, rest, gaps, weights, found, (v, a, b, c), 0, least, gap, closest)
+        v = np.uint64(vertex_face[n, 0])
+        face = np.uint64(vertex_face[n, 1])
+        a, b, c = np.uint64(faces[face, 0]), np.uint64(faces[face, 1]), np.uint64(faces[face, 2])
+        found = face_pair(x, u, thickness, slack, v, a, b, c, found, quads, kinds, rest, gaps, weights)
     for n in range(edge_edge.shape[0]):
-        e = edge_edge[n, 0]
-        f = edge_edge[n, 1]
-        a0 = edges[e, 0]
-        a1 = edges[e, 1]
-        b0 = edges[f, 0]
-        b1 = edges[f, 1]
-        least = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
-        reach = least + max(
-            slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
-            slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
-        )
-        if _edges_apart(x, a0, a1, b0, b1, reach):
-            continue
-        s, t, gap = _closest_on_edges(x, a0, a1, b0, b1)
-        if gap <= reach:
-            closest = (1.0 - s, s, -(1.0 - t), -t)
-            found = _emit(quads, kinds, rest, gaps, weights, found, (a0, a1, b0, b1), 1, least, gap, closest)
+        e = np.uint64(edge_edge[n, 0])
+        f = np.uint64(edge_edge[n, 1])
+        a0, a1, b0, b1 = np.uint64(edges[e, 0]), np.uint64(edges[e, 1]), np.uint64(edges[f, 0]), np.uint64(edges[f, 1])
+        found = edge_pair(x, u, thickness, slack, a0, a1, b0, b1, found, quads, kinds, rest, gaps, weights)
     return found
-
-
-@bare
-def strays(x, start, u, share, slack):
-    """See `strays_from`."""
-    away = False
-    for i in range(x.shape[0]):
-        dx = x[i, 0] - start[i, 0] - share * u[i, 0]
-        dy = x[i, 1] - start[i, 1] - share * u[i, 1]
-        dz = x[i, 2] - start[i, 2] - share * u[i, 2]
-        away |= not dx * dx + dy * dy + dz * dz <= slack[i] * slack[i]
-    return away
-
-
-@kernel
-def strays_from(x, start, u, share, slack):
-    """Whether some vertex is further than its slack (V,) [m] from where it was expected, start + share u (V, 3)."""
-    return strays(x, start, u, share, slack)
 
 
 @kernel

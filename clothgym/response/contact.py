@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -13,20 +14,21 @@ from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.height_field import HeightFields
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.detection.mezger import MezgerHierarchy
-from clothgym.kernels import contact, near_pairs, proximity
+from clothgym.kernels import bulk, contact, near_pairs, proximity
 from clothgym.kernels.contact import Contacts
 from clothgym.kernels.near_pairs import Watched
+from clothgym.kernels.strays import Ways, strays_from
 from clothgym.model import ClothModel
+from clothgym.response.strays import Strays
 
 if TYPE_CHECKING:
     from clothgym.detection.faults import Faults
 
 _ERRATIC = 0.5
-"""Slack of a vertex as a share of its expected travel: fast vertices are the ones that change their mind."""
+"""Slack of a vertex as a share of its expected travel beside that of all: fast vertices are the ones that change their mind."""
 
-
-_LEEWAY = 1.0
-"""And in thicknesses, for what contact and springs move a vertex within a substep."""
+_LEEWAY = 0.5
+"""And in thicknesses, for what contact and springs move a vertex within a substep; twice as much within four or more."""
 
 
 class Candidates:
@@ -60,6 +62,10 @@ class Candidates:
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
         self._end: FloatArray = np.zeros((model.vertex_count, 3))
+        # the paper leaves pairs out by rules of its own
+        self.strays = None if isinstance(tree, MezgerHierarchy) else Strays(model.surface)
+        self._leeway = 0.0
+        self._bulk = np.zeros(bulk.BULK)
         self._widths: FloatArray = np.zeros(model.vertex_count)
         self._thickness = float(model.thickness.max())
         self.gathered = 0
@@ -106,11 +112,11 @@ class Candidates:
         self.horizon = horizon
         self.start[:] = x
         self.travel[:] = travel
-        np.einsum("ij,ij->i", travel, travel, out=self.slack)
-        np.sqrt(self.slack, out=self.slack)
-        self.slack *= _ERRATIC
-        self.slack += _LEEWAY * self._thickness
         np.add(self.start, self.travel, out=self._end)
+        self._leeway = _LEEWAY * min(math.sqrt(horizon), 2.0) * self._thickness
+        if self.strays is not None:
+            self.strays.begin()
+        bulk.slacks(self.start, self._end, _ERRATIC, self._leeway, self._bulk, self.slack)
         np.add(self.slack, 0.5 * self._thickness, out=self._widths)
         self.tree.refit(self.start, self._end, self._widths)
         self.tree.search(near=True, hits=False)
@@ -139,14 +145,19 @@ class Candidates:
             if found <= len(self.watched.quads):
                 break
             self.watched = watched_pairs(int(1.3 * found), len(self.start))
-        if self.faults is not None:
-            w, seen = self.watched, np.flatnonzero(self.faults.seen(self.watched.quads[:found]))
-            found = len(seen)
-            for values in (w.quads, w.kinds, w.rest, w.gaps, w.weights):
-                values[:found] = values[seen]
-        self.count = found
+        self.count = found = self._keep_seen(0, found)
         near_pairs.begin(self.start, self.watched, found)
         self.gathered += found
+
+    def _keep_seen(self, first: int, count: int) -> int:
+        """Of the pairs `first` to `count`, those that faulty detection does not ignore; returns how many there are then."""
+        if self.faults is None:
+            return count
+        w = self.watched
+        seen = first + np.flatnonzero(self.faults.seen(w.quads[first:count]))
+        for values in (w.quads, w.kinds, w.rest, w.gaps, w.weights):
+            values[first : first + len(seen)] = values[seen]
+        return first + len(seen)
 
     @property
     def quads(self) -> IntArray:
@@ -162,7 +173,23 @@ class Candidates:
         """Whether a vertex is further than its slack from start + share travel, so that pairs may be missing."""
         if self.flat and self.sheets is not None:
             return not self.sheets.stays(x, share)
-        return bool(proximity.strays_from(x, self.start, self.travel, share, self.slack))
+        return bool(strays_from(x, self.start, self.travel, share, self.slack))
+
+    def widen(self, x: FloatArray, share: float) -> bool:
+        """Gives more slack to the vertices that strayed from start + share travel to x (V, 3), and searches their pairs again;
+        False if they are too many, or pairs do not fit: then all have to be searched.
+
+        What is known of other pairs stays. Afterwards contacts have to be collected again.
+        """
+        if self.flat or self.strays is None:
+            return False
+        ways = Ways(self.start, self.travel, self.slack, self.model.thickness)
+        left, found = self.strays.search(x, share, ways, self._leeway, self.watched, self.count)
+        if not left <= found <= len(self.watched.quads):
+            return False
+        self.count = self._keep_seen(left, found)
+        near_pairs.join(self.watched, left, self.count)
+        return True
 
 
 def watched_pairs(capacity: int, vertex_count: int) -> Watched:
@@ -181,6 +208,7 @@ def watched_pairs(capacity: int, vertex_count: int) -> Watched:
         np.zeros(capacity, np.int64),
         np.zeros(vertex_count, np.int64),
         np.zeros((vertex_count, 9)),
+        np.zeros(bulk.BULK + 1),
         np.zeros(vertex_count),
         np.zeros(vertex_count),
         np.zeros((vertex_count, 3)),

@@ -172,6 +172,16 @@ class ContactSubsteps:
         self.contacts.forget()
         frame.count("rebuilds", 1)
 
+    def _covered(self, frame: Frame, x: FloatArray, share: float) -> bool:
+        """Whether no pair is missing with vertices at x (V, 3), at a share of their way; few that strayed are searched for."""
+        if not self.candidates.outdated(x, share):
+            return True
+        if not self.candidates.widen(x, share):
+            return False
+        self.contacts.forget()
+        frame.count("widened", 1)
+        return True
+
     def _one(self, frame: Frame, motion: Motion, n: int) -> None:
         """Substep n, with candidates found anew as often as it takes."""
         s, state, model, found = self.step, frame.state, frame.model, self.candidates
@@ -183,7 +193,9 @@ class ContactSubsteps:
             self.drive.predict(frame, s.dt)
         now = frame.clock(f"{self.name}: predict", now)
         done, horizon = n - self.base, self.horizon
-        late = done < horizon and (found.outdated(x, done / horizon) or found.outdated(p, (done + 1) / horizon))
+        late = done < horizon and not (
+            self._covered(frame, x, done / horizon) and self._covered(frame, p, (done + 1) / horizon)
+        )
         if late or done >= horizon:
             # what changes its mind is looked at again soon, what kept its course for twice as long
             horizon = min(self.short if late else max(1, 2 * horizon), s.substeps - n)
@@ -199,8 +211,8 @@ class ContactSubsteps:
         now = frame.clock(f"{self.name}: solve", now)
         for _ in range(self._ATTEMPTS):
             share = (n + 1 - self.base) / self.horizon
-            if found.outdated(p, share):
-                # something moved further than expected: look again around where everything really goes
+            if not self._covered(frame, p, share):
+                # much moved further than expected: look again around where everything really goes
                 horizon = min(self.short, s.substeps - n)
                 self._find(frame, horizon * (p - x), n, horizon)
                 share = 1.0 / horizon

@@ -1,0 +1,60 @@
+"""Vertices that leave the way on which pairs were searched: a few have their pairs searched again, one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clothgym.arrays import FloatArray
+from clothgym.kernels import strays
+from clothgym.kernels.near_pairs import Watched
+from clothgym.mesh import Surface
+
+_MOST = 64
+"""So many vertices, or one in as many; of more, all pairs are searched again."""
+
+_TIMES = 3
+"""And after so many times: something happens that concerns many."""
+
+_AGAIN, _FURTHER = 1.25, 4.0
+"""Their slack, in ways that they have strayed: what has strayed early strays further, up to so many times."""
+
+
+class Strays:
+    """Searches of the pairs of vertices that strayed, and the space for them."""
+
+    def __init__(self, surface: Surface) -> None:
+        vertices, edges = surface.vertex_count, len(surface.edges)
+        self.arrays, self.neighbourhood = surface.arrays, surface.neighbourhood[:2]
+        self.ids = np.zeros(min(_MOST, 1 + vertices // _MOST), np.int64)
+        self.space = strays.Space(
+            np.zeros(vertices, np.int32),
+            np.zeros((vertices, 2), np.int64),
+            np.zeros(vertices),
+            np.zeros(max(len(surface.faces), edges), np.int64),
+            np.zeros(edges, np.int64),
+        )
+        self.times = 0
+
+    def begin(self) -> None:
+        """All pairs have been searched."""
+        self.times = 0
+
+    def search(
+        self, x: FloatArray, share: float, ways: strays.Ways, leeway: float, watched: Watched, count: int
+    ) -> tuple[int, int]:
+        """Pairs of the vertices that strayed from their ways to x (V, 3), at a share of them, take the place of those that they
+        have among the first `count` of `watched`; their slack grows, by `leeway` [m] beyond where they are.
+
+        Returns how many other pairs there are, and how many with the new ones: more than fit if the capacity does not suffice,
+        fewer than the others if too many vertices strayed.
+        """
+        if self.times == _TIMES:
+            return count, -1
+        self.times += 1
+        more = _AGAIN * (min(1.0 / share, _FURTHER) if share > 0.0 else _FURTHER)
+        found = strays.list_strays(x, ways.x, ways.u, share, ways.slack, more, leeway, self.ids)
+        if found > len(self.ids):
+            return count, -1
+        ids = self.ids[:found]
+        left = strays.drop_pairs(ids, self.space.marks, watched, count)
+        return left, strays.pairs_around(ids, ways, self.arrays, *self.neighbourhood, self.space, watched, left)

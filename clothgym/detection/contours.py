@@ -232,12 +232,11 @@ class Enclosed:
     def outward(self) -> FloatArray:
         """(H, 3) unit normal of each hit's face, towards the outer end of its edge; 0 where nothing is cut off."""
         hits = self.hits
-        edges, x = hits.surface.edges[hits.hit_edge], hits.vertices
-        way = x[edges[:, 1]] - x[edges[:, 0]]
-        way[self.inside_end == 1] *= -1.0
-        normals = hits.frames[:, 3:6]
-        along = np.einsum("ij,ij->i", way, normals)
-        return np.where(along[:, None] >= 0, normals, -normals) * (self.inside_end >= 0)[:, None]
+        normals = np.empty((hits.hit_count, 3))
+        kernels.outward_normals(
+            hits.vertices, hits.surface.edges, hits.hit_edge, hits.frames, self.inside_end, normals
+        )  # fmt: skip
+        return normals
 
     def patch(self, region: int) -> IntArray:
         """Faces of the surface that a region lies behind: those that the contour pierces on its side, and those of the regions

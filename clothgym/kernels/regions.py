@@ -176,19 +176,18 @@ def flood(cuts, graph, found, members):
                     head += 1
                     root = _root(parent, label[v])
                     for k in range(graph.start[v], graph.start[v + 1]):
-                        if cut[graph.neighbour_edges[k]]:
+                        other = np.uint64(graph.neighbours[k])
+                        known = label[other]
+                        if known == root or known == -2 or cut[np.uint64(graph.neighbour_edges[k])]:
                             continue
-                        other = graph.neighbours[k]
-                        if label[other] == -2:
-                            continue
-                        if label[other] == -1:
+                        if known == -1:
                             label[other] = root
                             area[root] += graph.areas[other]
                             growing[root] += 1
                             queue[tail] = other
                             tail += 1
                             continue
-                        met = _root(parent, label[other])
+                        met = _root(parent, known)
                         if met != root:
                             parent[met] = root
                             area[root] += area[met]
@@ -303,3 +302,20 @@ def count_crossings(x, faces, face_start, segments_of_face, segments, first_hit,
                     crossings[contour[a]] += 1
                     if contour[b] != contour[a]:
                         crossings[contour[b]] += 1
+
+
+@kernel
+def outward_normals(x, edges, hit_edge, frames, inside_end, normals):
+    """Per hit, normals (H, 3): that of its face, frames (H, 8), towards the end of its edge that is not inside_end (H,); 0
+    where that is -1."""
+    for h in range(hit_edge.shape[0]):
+        e0 = edges[hit_edge[h], 0]
+        e1 = edges[hit_edge[h], 1]
+        along = 0.0
+        for c in range(3):
+            along += (x[e1, c] - x[e0, c]) * frames[h, 3 + c]
+        along = -along if inside_end[h] == 1 else along
+        sign = 1.0 if along >= 0.0 else -1.0
+        sign = 0.0 if inside_end[h] < 0 else sign
+        for c in range(3):
+            normals[h, c] = sign * frames[h, 3 + c]

@@ -295,6 +295,7 @@ class Simulation:
     def set_positions(self, positions: ArrayLike) -> None:
         """Copies (V, 3) [m]. Raises ValueError for a wrong shape or an entry that is not finite or beyond 1e9."""
         self._state.positions[:] = as_points(positions, "positions", self.model.vertex_count, FARTHEST)
+        self.pipeline.forget()
         self._intersections, self._trace = None, Trace()
 
     def set_velocities(self, velocities: ArrayLike) -> None:

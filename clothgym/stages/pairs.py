@@ -61,12 +61,16 @@ class FacePairs:
         self.fall = np.zeros((len(self.free), 3))
 
     def run(self, frame: Frame) -> None:
-        self.look(frame, self.substeps)
+        frame.settled = self.candidates.lasts(self.substeps)
+        if frame.settled:
+            frame.count("decided_flat", 1)
+        else:
+            self.look(frame, self.substeps, self.candidates.ahead)
 
-    def look(self, frame: Frame, horizon: int) -> None:
-        """Looks `horizon` substeps ahead."""
+    def look(self, frame: Frame, horizon: int, times: int = 1) -> None:
+        """Looks `horizon` substeps ahead, or `times` as many if nothing can touch for so long."""
         state, ahead = frame.state, self.step * horizon / self.substeps
-        if self._settled(state, ahead, horizon):
+        if self._settles(state, ahead, horizon, times):
             frame.count("decided_flat", 1)
             frame.count("box_pairs", 0)
             return
@@ -75,21 +79,14 @@ class FacePairs:
         self.candidates.expect(state.positions, self.travel, horizon)
         frame.count("box_pairs", self.candidates.box_pairs)
 
-    def _settled(self, state: ClothState, seconds: float, horizon: int) -> bool:
-        """Whether nothing can touch; the travel is without gravity: what stands still stays, and what falls, falls together.
-
-        A decision costs as much as several steps' looks whether it still holds, so it is made for several steps if it can be.
-        """
+    def _settles(self, state: ClothState, seconds: float, horizon: int, times: int) -> bool:
+        """Whether nothing can touch; the travel is without gravity: what stands still stays, and what falls, falls together."""
         found = self.candidates
-        if found.lasts(state.positions, horizon):
-            return True
-        for steps in (found.ahead, 1):
-            np.multiply(state.velocities, steps * seconds, out=self.travel)
-            if found.settle(state.positions, self.travel, steps * horizon):
-                found.ahead = min(2 * steps, found.most_ahead)
+        for times in (times, 1) if times > 1 else (1,):
+            np.multiply(state.velocities, times * seconds, out=self.travel)
+            if found.settle(state.positions, self.travel, times * horizon):
+                found.ahead = min(2 * times, found.most_ahead)
                 return True
-            if steps == 1:
-                break
         found.ahead = 1
         return False
 
@@ -99,6 +96,7 @@ class FacePairs:
 
 
 class PrimitivePairs:
+    of_pairs = True
     name = "primitive pairs"
     reads: tuple[str, ...] = ("positions", "face_pairs")
     writes: tuple[str, ...] = ("quads",)

@@ -21,6 +21,8 @@ _WORK = ("contacts", "measured", "repaired", "zoned", "unproved")
 
 _AHEAD = 16
 """Steps for which sheets are decided to be height fields, at most."""
+_SHORTER = 3
+"""A decision that did not hold to its end is made again for so much less time than it held."""
 
 
 class ContactSubsteps:
@@ -114,11 +116,11 @@ class ContactSubsteps:
             if done == s.substeps:
                 found.spent = done - base
                 return done
-            # what is left is decided again for as long as it held, in whole steps if it can be
+            # decided again for a part of the time that it held, in whole steps if it can be: what strays does so ever faster
             held, left = done - base, s.substeps - done
-            found.ahead = max(1, held // s.substeps)
-            whole = left + found.ahead * s.substeps
-            for horizon in (whole, min(held, left)) if held >= whole else (min(held, left),):
+            whole = max(held // (_SHORTER * s.substeps), int(held >= left + s.substeps))
+            found.ahead = max(1, whole)
+            for horizon in (left + whole * s.substeps, min(held, left)) if whole else (min(held, left),):
                 if horizon > 0 and found.settle(state.positions, (horizon * s.dt) * state.velocities, horizon):
                     break
             else:

@@ -118,7 +118,7 @@ class ContactSubsteps:
                 return done
             # decided again for a part of the time that it held, in whole steps if it can be: what strays does so ever faster
             held, left = done - base, s.substeps - done
-            whole = max(held // (_SHORTER * s.substeps), int(held >= left + s.substeps))
+            whole = max(held // (_SHORTER * s.substeps), int(2 * held >= left + s.substeps))
             found.ahead = max(1, whole)
             for horizon in (left + whole * s.substeps, min(held, left)) if whole else (min(held, left),):
                 if horizon > 0 and found.settle(state.positions, (horizon * s.dt) * state.velocities, horizon):

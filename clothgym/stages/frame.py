@@ -20,8 +20,8 @@ class Frame:
     """What stages share while a step runs: the state, the model, and named buffers.
 
     Attributes:
-        settled: whether an earlier step has decided that nothing can touch in this one: no pairs, and nothing to do for stages
-            that work on them.
+        settled: whether nothing could touch in the last step, nor can in this one: no pairs, and nothing to do for stages that
+            work on them.
     """
 
     def __init__(self, model: ClothModel, state: ClothState) -> None:
@@ -83,8 +83,8 @@ class Frame:
 class Stage(Protocol):
     """One step of the pipeline. `reads` and `writes` name state arrays and buffers.
 
-    One with `of_pairs` = True is left out of steps in which nothing can touch, as an earlier step has decided: it must find its
-    arrays as it left them in that step.
+    One with `of_pairs` = True is left out of steps in which nothing can touch, but for the first of them, in which it puts its
+    arrays in order.
     """
 
     name: str

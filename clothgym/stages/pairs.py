@@ -59,13 +59,18 @@ class FacePairs:
         self.free = (candidates.model.inverse_masses > 0)[:, None]
         self.travel = np.zeros((len(self.free), 3))
         self.fall = np.zeros((len(self.free), 3))
+        self.flat = False  # whether it was decided, before all other stages of the last step, that nothing can touch
 
     def run(self, frame: Frame) -> None:
-        frame.settled = self.candidates.lasts(self.substeps)
-        if frame.settled:
+        found = self.candidates
+        # in the last step, too, nothing touched, from its beginning to its end
+        calm = self.flat and found.flat and found.spent > 0
+        if calm and found.lasts(self.substeps):
             frame.count("decided_flat", 1)
         else:
-            self.look(frame, self.substeps, self.candidates.ahead)
+            self.look(frame, self.substeps, found.ahead)
+        self.flat = found.flat
+        frame.settled = calm and found.flat
 
     def look(self, frame: Frame, horizon: int, times: int = 1) -> None:
         """Looks `horizon` substeps ahead, or `times` as many if nothing can touch for so long."""
@@ -92,6 +97,7 @@ class FacePairs:
 
     def forget(self) -> None:
         """Every run decides anew."""
+        self.flat = False
         self.candidates.forget()
 
 

@@ -113,20 +113,51 @@ def test_a_sheet_that_cannot_touch_itself_moves_like_one_that_may_not(name):
     assert one.step_count > 10
 
 
+def _both_ways(sim, start, velocities, first, **changes):
+    """Substeps from `first` on, in slots and with a look at every substep: the one that is left must be the same, and all
+    bits before it; returns how many were made, and whether the slots could take the last one back."""
+    from clothgym.kernels import height_field, spring_runs
+
+    stage, frame = sim.pipeline.stages[-1], sim._frame
+    step, found, runs = stage.step, stage.candidates, stage.step.integrator.runs
+    motion, count, results = step.motion(frame)._replace(**changes), step.substeps, []
+    for way in range(3):
+        x, v = start.copy(), velocities.copy()
+        frame.set_grips()
+        if way == 0:
+            _, known = spring_runs._along(
+                x, v, runs.space, runs.arrays, step.radii, motion, step.ground, frame.grips, first, count, stage.course,
+                first, count,
+            )  # fmt: skip
+            continue
+        if way == 1:
+            done = runs.step_along(
+                x, v, step.radii, motion, step.ground, frame.grips, first, count, stage.course, first, count
+            )
+        else:
+            done = height_field.xpbd_substeps(
+                x, v, frame.predicted, stage.kept, sim.model.arrays, step.radii, motion, step.ground, frame.grips,
+                step.integrator.multipliers, first, count, first, count, found.sheets.sheets, found.sheets.tube,
+                step.integrator.spring_runs,
+            )  # fmt: skip
+        results.append((done, x, v, frame.grips.forces.copy()))
+    (done, x, v, forces), (expected, *others) = results
+    assert done == expected
+    # a substep that was made leaves pinned vertices without speed
+    assert (x == others[0]).all() and (v == others[1]).all() and (forces == others[2]).all()
+    return done - first, known
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_slots_are_left_where_a_look_at_every_substep_leaves_them(seed):
     """Which substep is the first to leave the course, and the state before it, do not depend on how rarely one looks."""
-    from clothgym.kernels import height_field
-
     rng = np.random.default_rng(seed)
     sim = cg.Simulation(wide(grips=(cg.Grip(radius=0.15),), ground=-0.01), XPBD)
     sim.place_grip(0, sim.positions[40])
     sim.grasp(0)
     sim.move_grip(0, (0.1, 0.3, -0.2))
-    stage, frame = sim.pipeline.stages[-1], sim._frame
-    frame.set_grips()
-    step, found = stage.step, stage.candidates
-    motion, count = step.motion(frame), step.substeps
+    step, found = sim.pipeline.stages[-1].step, sim.pipeline.stages[-1].candidates
+    count = step.substeps
     start = sim.positions + np.array([0.0, 0.005, 0.0])
     ended = []
     for wild in np.geomspace(0.01, 30.0, 24):
@@ -134,27 +165,28 @@ def test_slots_are_left_where_a_look_at_every_substep_leaves_them(seed):
         first = int(rng.integers(0, count // 2))
         if not found.settle(start, step.dt * count * velocities * rng.uniform(0.0, 1.0), count):
             continue
-        results = []
-        for slots in (True, False):
-            x, v = start.copy(), velocities.copy()
-            frame.set_grips()
-            if slots:
-                done = step.integrator.runs.step_along(
-                    x, v, step.radii, motion, step.ground, frame.grips, first, count, stage.course, first, count
-                )
-            else:
-                done = height_field.xpbd_substeps(
-                    x, v, frame.predicted, stage.kept, sim.model.arrays, step.radii, motion, step.ground, frame.grips,
-                    step.integrator.multipliers, first, count, first, count, found.sheets.sheets, found.sheets.tube,
-                    step.integrator.spring_runs,
-                )  # fmt: skip
-            results.append((done, x, v, frame.grips.forces.copy()))
-        (done, x, v, forces), (expected, *others) = results
-        assert done == expected
-        # a substep that was made leaves pinned vertices without speed
-        assert (x == others[0]).all() and (v == others[1]).all() and (forces == others[2]).all()
-        ended.append((done - first) / (count - first))
+        made, taken_back = _both_ways(sim, start, velocities, first)
+        assert taken_back or made == 0
+        ended.append(made / (count - first))
     assert min(ended) < 0.2 and max(ended) == 1.0 and any(0.2 < share < 1.0 for share in ended)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_substep_that_leaves_the_course_out_of_the_blue_is_not_made(seed):
+    """Damping below zero makes every move many times the last one: no positions were kept, what is left is made once more."""
+    rng = np.random.default_rng(seed)
+    sim = cg.Simulation(wide(grips=(cg.Grip(radius=0.15),)), XPBD)
+    sim.place_grip(0, sim.positions[40])
+    sim.grasp(0)
+    step, found = sim.pipeline.stages[-1].step, sim.pipeline.stages[-1].candidates
+    made_again = 0
+    for first in range(6):
+        velocities = rng.normal(0.0, 1e-9 * 10.0**first, sim.positions.shape)
+        assert found.settle(sim.positions, 0.0 * velocities, step.substeps)
+        made, taken_back = _both_ways(sim, sim.positions, velocities, first, damping=-0.98 / step.dt)
+        assert made < step.substeps - first
+        made_again += made > 0 and not taken_back
+    assert made_again > 2
 
 
 def test_a_vertex_that_is_nowhere_ends_the_course():
@@ -256,7 +288,7 @@ def _sheet_that_moves():
 
 
 def _shifted(sim):
-    sim.set_positions(sim.positions + [0.0, 0.001, 0.0])
+    sim.set_positions(sim.positions + np.array([0.0, 0.001, 0.0]))
 
 
 def _put_back(sim):
@@ -276,9 +308,10 @@ def _failed(sim):
 
 def _diverged(sim):
     """A step comes to nothing, and the state is that before it."""
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(cg.SimulationError):
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("clothgym.stages.frame.SPEED_CAP", 1e-3)
-        sim.step()
+        with pytest.raises(cg.SimulationError):
+            sim.step()
 
 
 MOVES = {

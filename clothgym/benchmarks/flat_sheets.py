@@ -57,7 +57,9 @@ def run(parameters: dict[str, Any]) -> dict[str, Any]:
     sheets = [_one_sheet(parameters, searched=n == 0) for n in range(parameters["sheets"])]
     decided, equal, faces = sheets[0].decided, sheets[0].equal, sheets[0].faces
     steps = [n for n in range(parameters["steps"]) if decided[n]]
-    spent = {name: np.concatenate([sheet.times[name] for sheet in sheets])[:, steps] for name in ("check", "none", "alone")}
+    spent = {
+        name: np.concatenate([sheet.times[name] for sheet in sheets])[:, steps] for name in ("check", "none", "alone")
+    }
     times = {name: 1e3 * float(np.median(values)) if steps else None for name, values in spent.items()}
     search = sheets[0].times["search"][:, [n for n in steps if n < parameters["searched"]]]
     times["search"] = 1e3 * float(np.median(search)) if search.size else None

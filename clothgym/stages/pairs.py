@@ -87,10 +87,10 @@ class FacePairs:
     def _settles(self, state: ClothState, seconds: float, horizon: int, times: int) -> bool:
         """Whether nothing can touch; the travel is without gravity: what stands still stays, and what falls, falls together."""
         found = self.candidates
-        for times in (times, 1) if times > 1 else (1,):
-            np.multiply(state.velocities, times * seconds, out=self.travel)
-            if found.settle(state.positions, self.travel, times * horizon):
-                found.ahead = min(2 * times, found.most_ahead)
+        for tried in (times, 1) if times > 1 else (1,):
+            np.multiply(state.velocities, tried * seconds, out=self.travel)
+            if found.settle(state.positions, self.travel, tried * horizon):
+                found.ahead = min(2 * tried, found.most_ahead)
                 return True
         found.ahead = 1
         return False

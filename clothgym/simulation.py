@@ -217,7 +217,7 @@ class Simulation:
 
     @property
     def profile(self) -> dict[str, tuple[int, float]]:
-        """Stage name -> (calls, wall seconds) since reset."""
+        """Stage name -> (calls, wall seconds) since reset; stages of pairs are left out of steps in which nothing can touch."""
         return {name: (int(calls), seconds) for name, (calls, seconds) in self.pipeline.profile.items()}
 
     @property

@@ -116,8 +116,8 @@ class ContactSubsteps:
             if done == s.substeps:
                 found.spent = done - base
                 return done
-            # decided again for a part of the time that it held, what strays does so ever faster; for the next step, too, if that
-            # may be: a decision costs the same for any time
+            # decided again for a part of the time that it held, since what strays does so ever faster; for the next step, too,
+            # if that may be, since a decision costs the same for any time
             held, left = done - base, s.substeps - done
             whole = max(held // (_SHORTER * s.substeps), int(2 * held >= left + s.substeps))
             found.ahead = max(1, whole)

@@ -52,7 +52,9 @@ def run(parameters: dict[str, Any]) -> dict[str, Any]:
       both sheets work in the same arrays, and all is measured with several pairs of sheets made anew: `share` is the median of
       all of them, `shares` has that of each pair.
 
-    Both figures then vary by about half a point between runs on a machine that others use too, at most one at 16 cells.
+    `share` then varies by half a point between runs on a machine that others use too, at 16 and 32 cells by one; `share_of_all`
+    by one, at 16 cells by one and a half: its first step decides with empty caches. Below zero means that the loop with the
+    check happens to be compiled to quicker code than the one without, by up to 2 % in the same arrays.
     """
     sheets = [_one_sheet(parameters, searched=n == 0) for n in range(parameters["sheets"])]
     decided, equal, faces = sheets[0].decided, sheets[0].equal, sheets[0].faces

@@ -22,6 +22,7 @@ class Pipeline:
 
     def __init__(self, stages: tuple[Stage, ...], substeps: int, dt: float, detector: Any = None) -> None:
         self.stages = stages
+        self._plan = tuple((s, "positions" in s.writes, getattr(s, "of_pairs", False)) for s in stages)
         self.detector = detector
         self.substeps, self.dt = substeps, dt
         self.profile: dict[str, list[float]] = {}
@@ -33,11 +34,13 @@ class Pipeline:
     def run(self, frame: Frame) -> tuple[str, str] | None:
         """Advances the frame's state by one step; the stage and what diverged in it, if anything did."""
         frame.profile = self.profile
-        for stage in self.stages:
+        for stage, moves, of_pairs in self._plan:
+            if of_pairs and frame.settled:
+                continue
             started = time.perf_counter()
             stage.run(frame)
             frame.clock(stage.name, started)
-            if "positions" in stage.writes and (diverged := frame.diverged()):
+            if moves and (diverged := frame.diverged()):
                 return stage.name, diverged
         return None
 

@@ -217,7 +217,7 @@ class Simulation:
 
     @property
     def profile(self) -> dict[str, tuple[int, float]]:
-        """Stage name -> (calls, wall seconds) since reset."""
+        """Stage name -> (calls, wall seconds) since reset; stages of pairs are left out of steps in which nothing can touch."""
         return {name: (int(calls), seconds) for name, (calls, seconds) in self.pipeline.profile.items()}
 
     @property
@@ -295,6 +295,7 @@ class Simulation:
     def set_positions(self, positions: ArrayLike) -> None:
         """Copies (V, 3) [m]. Raises ValueError for a wrong shape or an entry that is not finite or beyond 1e9."""
         self._state.positions[:] = as_points(positions, "positions", self.model.vertex_count, FARTHEST)
+        self.pipeline.forget()
         self._intersections, self._trace = None, Trace()
 
     def set_velocities(self, velocities: ArrayLike) -> None:

@@ -139,10 +139,11 @@ def test_rows_and_tables_of_a_whole_run(tmp_path: Any, monkeypatch: pytest.Monke
 
 
 def test_a_flat_sheet_is_decided_and_runs_as_with_a_search() -> None:
-    parameters = {"part": "flat", "cells": 6, "steps": 3, "searched": 2, "repeats": 2}
+    parameters = {"part": "flat", "cells": 6, "steps": 3, "searched": 2, "sheets": 2, "repeats": 2}
     result = hierarchy.run(parameters)
     assert (result["triangles"], result["decided"], result["equal"]) == (72, 3, True)
-    assert result["share"] < 1.0 and min(result["ms"].values()) > 0.0
+    assert result["share"] < 1.0 and result["share_of_all"] < 1.0 and min(result["ms"].values()) > 0.0
+    assert len(result["shares"]) == 2 and min(result["shares"]) <= result["share"] <= max(result["shares"])
     (table,) = hierarchy.tables([{"parameters": parameters, "result": result}])
     assert table.rows[0][:3] == (6, 72, "3 of 3")
     assert table.rows[0][6] == result["share"]

@@ -51,7 +51,7 @@ def cases(quick: bool) -> list[Case]:
 def prepare() -> None:
     """Compiles every kernel that a case uses."""
     run({"part": "scaling", "triangles": 64, "state": "tangled", "seed": 0, "repeats": 1})
-    run({"part": "flat", "cells": 4, "steps": 1, "searched": 1, "repeats": 1})
+    run({"part": "flat", "cells": 4, "steps": 1, "searched": 1, "sheets": 1, "repeats": 1})
 
 
 def folded_layers(triangles: int, state: str, seed: int) -> tuple[np.ndarray, np.ndarray]:

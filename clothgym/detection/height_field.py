@@ -56,7 +56,8 @@ class HeightFields:
         ways = np.zeros((5, slot_count))
         ways[4] = np.inf
         ways[4, slot[self.sheets.members]] = 0.0
-        self._slot, self._course = slot, Course(ways, self.tube.axes, self.tube.slack)
+        self._slot = slot
+        self._course = Course(ways, np.zeros((2, 3)), np.zeros(3), np.zeros((3, slot_count)))
         return self._course
 
     @property
@@ -68,7 +69,7 @@ class HeightFields:
         [m], as long as `stays` confirms it. No proves nothing."""
         decided = self.possible and bool(height_field.decide(x, travel, self.sheets, self.shapes, self.tube))
         if decided and self._course is not None:
-            height_field.chart(self.tube, self._slot, self._course.ways)
+            height_field.chart(self.tube, self._slot, self.sheets.members, self._course)
         return decided
 
     def stays(self, x: FloatArray, share: float) -> bool:

@@ -242,12 +242,23 @@ def _widen(x, u, share, drifted, sheets, tube):
 
 
 @kernel
-def chart(tube, slot, ways):
-    """Where vertices are expected, into slots: ways (5, M) of a `spring_runs.Course`."""
-    for i in range(slot.shape[0]):
-        s = np.uint64(slot[i])
-        for k in range(4):
-            ways[k, s] = tube.ways[i, k]
+def chart(tube, slot, members, course):
+    """What was decided for the only component into slots: fills a `spring_runs.Course`."""
+    course.limits[0] = tube.slack[0]
+    for k in range(2):
+        for c in range(3):
+            course.plane[k, c] = tube.axes[0, 1 + k, c]
+    for k in range(4):
+        low = math.inf
+        high = -math.inf
+        for m in range(members.shape[0]):
+            i = np.uint64(members[m])
+            way = tube.ways[i, k]
+            course.ways[k, np.uint64(slot[i])] = way
+            low = min(low, way)
+            high = max(high, way)
+        if k > 1:
+            course.limits[k - 1] = high - low
 
 
 @kernel

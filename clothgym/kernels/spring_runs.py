@@ -23,8 +23,8 @@ CHUNK = 1024
 
 _AHEAD = 1.5
 """How far vertices have strayed is looked up where so much growth as in the last substep would use up the slack,"""
-_KEPT_APART = 8
-"""and the state is kept there, if so many substeps have passed since."""
+_KEPT_AHEAD = 4.0
+"""and positions are kept where so much would, so that the substep can be taken back."""
 
 LANES = 16
 """The number of slots is a multiple of this, so that no loop over all of them has a remainder."""
@@ -58,8 +58,9 @@ class Course(NamedTuple):
     """What was decided for a sheet (`height_field.Tube`), in slots."""
 
     ways: NDArray  # (5, M) those of the tube; last: 0, or infinity where there is no vertex
-    axes: NDArray  # (1, 3, 3)
-    slack: NDArray  # (1,) [m]
+    plane: NDArray  # (2, 3) unit axes
+    limits: NDArray  # (3,) [m] slack, and by how much the ways differ along both axes
+    before: NDArray  # (3, M) scratch: positions where the last substep began [m]
 
 
 @bare
@@ -201,24 +202,33 @@ def _advance_relative(x, p, carry, a, lost):
 
 
 @bare
-def _store(x, v, space, springs, dt, relative):
-    """The slots into the state: where the last substep ended, and its velocity."""
+def _store(x, v, begin, end, springs, dt):
+    """The slots into the state: where the last substep ended, and its velocity; begin, end (3, M) [m]."""
     inverse = 1.0 / dt
     for i in range(x.shape[0]):
         s = springs.slot[i]
-        if springs.mobility[s] == 0.0:
-            v[i, 0] = 0.0
-            v[i, 1] = 0.0
-            v[i, 2] = 0.0
-            continue
+        moves = springs.mobility[s] > 0.0
         for c in range(3):
-            if relative:
+            if moves:
+                v[i, c] = (end[c, s] - begin[c, s]) * inverse
+                x[i, c] = end[c, s]
+            else:
+                v[i, c] = 0.0
+
+
+@bare
+def _store_relative(x, v, space, springs, dt):
+    """The same in single precision."""
+    for i in range(x.shape[0]):
+        s = springs.slot[i]
+        moves = springs.mobility[s] > 0.0
+        for c in range(3):
+            if moves:
                 v[i, c] = space.p[c, s] / dt
                 begin = np.float64(space.x[c, s]) + space.carry[c, s]
                 x[i, c] = begin + space.p[c, s]
             else:
-                v[i, c] = (space.p[c, s] - space.x[c, s]) * inverse
-                x[i, c] = space.p[c, s]
+                v[i, c] = 0.0
 
 
 @bare
@@ -320,12 +330,12 @@ def _strayed(x, y, z, share, course):
     ahead_a = course.ways[2]
     ahead_b = course.ways[3]
     nobody = course.ways[4]
-    ax = course.axes[0, 1, 0]
-    ay = course.axes[0, 1, 1]
-    az = course.axes[0, 1, 2]
-    bx = course.axes[0, 2, 0]
-    by = course.axes[0, 2, 1]
-    bz = course.axes[0, 2, 2]
+    ax = course.plane[0, 0]
+    ay = course.plane[0, 1]
+    az = course.plane[0, 2]
+    bx = course.plane[1, 0]
+    by = course.plane[1, 1]
+    bz = course.plane[1, 2]
     lost = lanes_from(x, 0) * 0.0
     low_a = low_b = upper(lost, math.inf)
     high_a = high_b = lower(lost, -math.inf)
@@ -347,22 +357,6 @@ def _strayed(x, y, z, share, course):
 
 
 @bare
-def _pace(course, horizon):
-    """By how much the ways that are expected in a substep differ [m] along both axes."""
-    zero = lanes_from(course.ways[2], 0) * 0.0
-    low_a = low_b = upper(zero, math.inf)
-    high_a = high_b = lower(zero, -math.inf)
-    for n in range(np.uint64(0), np.uint64(course.ways.shape[1]), np.uint64(LANES)):
-        a = lanes_from(course.ways[2], n)
-        b = lanes_from(course.ways[3], n)
-        low_a = lower(a, low_a)
-        low_b = lower(b, low_b)
-        high_a = upper(a, high_a)
-        high_b = upper(b, high_b)
-    return (highest(high_a) - lowest(low_a)) / horizon, (highest(high_b) - lowest(low_b)) / horizon
-
-
-@bare
 def _substeps(x, v, space, springs, radii, motion, ground, grips, first, last):
     """See `xpbd_substeps_in_runs`."""
     kept = 1.0 / (1.0 + motion.damping * motion.dt)
@@ -374,7 +368,7 @@ def _substeps(x, v, space, springs, radii, motion, ground, grips, first, last):
                 _advance(space.x[axis], space.p[axis], space.a[axis], kept, motion.dt, inverse)
         _substep_sweeps(space, springs, None, None, None, radii, motion, ground, grips, n, False)
         add_grip_forces(grips, motion.dt)
-    _store(x, v, space, springs, motion.dt, False)
+    _store(x, v, space.x, space.p, springs, motion.dt)
 
 
 @bare
@@ -385,38 +379,34 @@ def _copy(values, to):
 
 
 @bare
-def _along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon, forces):
-    """See `xpbd_substeps_along`; returns the substep of the state, and the first one that leaves the course.
+def _keep(x, before):
+    for n in range(np.uint64(0), np.uint64(x.shape[0]), np.uint64(LANES)):
+        put_lanes(before, n, lanes_from(x, n))
 
-    forces: (A, 3) scratch: those of the grips at that state.
-    """
+
+@bare
+def _along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon):
+    """See `xpbd_substeps_along`; returns the substep that was not made, and whether the state is that before it."""
     kept = 1.0 / (1.0 + motion.damping * motion.dt)
     inverse = 1.0 / motion.dt
-    slack = course.slack[0]
-    axes = course.axes
-    pace_a, pace_b = _pace(course, horizon)
+    slack = course.limits[0]
+    pace_a = course.limits[1] / horizon
+    pace_b = course.limits[2] / horizon
     _load(x, v, space, springs, motion, kept, False)
-    _copy(grips.forces, forces)
-    known = first
     strayed = _strayed(space.x[0], space.x[1], space.x[2], (first - base) / horizon, course)
     growth = 0.0
+    looked = known = True
     for n in range(first, last):
         if n > first:
-            looked = strayed + _AHEAD * growth > slack
-            if looked:
-                strayed = _strayed(space.p[0], space.p[1], space.p[2], (n - base) / horizon, course)
-                if not strayed <= slack:
-                    return known, n - 1
-                if n - known >= _KEPT_APART:
-                    _store(x, v, space, springs, motion.dt, False)
-                    _copy(grips.forces, forces)
-                    known = n
+            known = n == first + 1 or strayed + _KEPT_AHEAD * growth > slack
             wide = pace_a
             deep = pace_b
             for axis in range(3):
+                if known:
+                    _keep(space.x[axis], course.before[axis])
                 moved = _advance(space.x[axis], space.p[axis], space.a[axis], kept, motion.dt, inverse)
-                wide += abs(axes[0, 1, axis]) * moved
-                deep += abs(axes[0, 2, axis]) * moved
+                wide += abs(course.plane[0, axis]) * moved
+                deep += abs(course.plane[1, axis]) * moved
             # a box that grows on either side grows its half diagonal by no more than half its growth's
             growth = (0.5 + 1e-9) * math.sqrt(wide * wide + deep * deep)
             if not looked:
@@ -424,13 +414,18 @@ def _along(x, v, space, springs, radii, motion, ground, grips, first, last, cour
                 if not strayed <= slack:
                     strayed = _strayed(space.x[0], space.x[1], space.x[2], (n - base) / horizon, course)
                     if not strayed <= slack:
-                        return known, n - 1
+                        return n - 1, False
         _substep_sweeps(space, springs, None, None, None, radii, motion, ground, grips, n, False)
+        looked = n + 1 == last or (n > first and strayed + _AHEAD * growth > slack)
+        if looked:
+            strayed = _strayed(space.p[0], space.p[1], space.p[2], (n + 1 - base) / horizon, course)
+            if not strayed <= slack:
+                if n > first and known:
+                    _store(x, v, course.before, space.x, springs, motion.dt)
+                return n, known
         add_grip_forces(grips, motion.dt)
-    if not _strayed(space.p[0], space.p[1], space.p[2], (last - base) / horizon, course) <= slack:
-        return known, last - 1
-    _store(x, v, space, springs, motion.dt, False)
-    return last, last
+    _store(x, v, space.x, space.p, springs, motion.dt)
+    return last, True
 
 
 @kernel
@@ -446,14 +441,15 @@ def xpbd_substeps_along(x, v, space, springs, radii, motion, ground, grips, firs
 
     How far vertices have strayed is known from time to time. From one substep to the next it grows by no more than moves
     differ from those expected, and they differ by no more than the box of all moves is wide in the plane: as long as that is
-    below the slack, no vertex has to be looked at. Where one has to, the state is kept now and then: when a substep is seen to
-    leave the course it is too late to take it back, and those before it are made once more from there.
+    below the slack, no vertex has to be looked at. Where one may have to soon, the positions before are kept, with which a
+    substep that is seen to leave the course is taken back. If it comes out of the blue, those before it are made once more.
     """
-    known, left = _along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon, forces)
-    if known < last:
+    _copy(grips.forces, forces)
+    left, known = _along(x, v, space, springs, radii, motion, ground, grips, first, last, course, base, horizon)
+    if not known:
         _copy(forces, grips.forces)
-        if left > known:
-            _substeps(x, v, space, springs, radii, motion, ground, grips, known, left)
+        if left > first:
+            _substeps(x, v, space, springs, radii, motion, ground, grips, first, left)
     return left
 
 
@@ -470,4 +466,4 @@ def xpbd_substeps_in_single_runs(x, v, space, springs, radii, motion, ground, gr
                 _advance_relative(space.x[axis], space.p[axis], space.carry[axis], space.a[axis], lost)
         _substep_sweeps(space, springs, space.x[0], space.x[1], space.x[2], radii, motion, ground, grips, n, True)
         add_grip_forces(grips, motion.dt)
-    _store(x, v, space, springs, motion.dt, True)
+    _store_relative(x, v, space, springs, motion.dt)

@@ -84,12 +84,13 @@ class Candidates:
             self.horizon, self.spent, self.count = horizon, 0, 0
         return self.flat
 
-    def lasts(self, x: FloatArray, substeps: int) -> bool:
-        """Whether what was settled before holds for x (V, 3), wherever that comes from, and for so many substeps more."""
-        self.flat = (
-            self.flat and 0 < self.spent <= self.horizon - substeps and not self.outdated(x, self.spent / self.horizon)
-        )
-        return self.flat
+    def lasts(self, substeps: int) -> bool:
+        """Whether what was settled in an earlier step holds for so many substeps more.
+
+        Whoever made those that are spent has looked whether vertices kept to their course; who moves them in any other way,
+        between two steps, has to say so: `forget`.
+        """
+        return self.flat and 0 < self.spent <= self.horizon - substeps
 
     def forget(self) -> None:
         """Drops what was settled: results do not depend on it, work counters do."""

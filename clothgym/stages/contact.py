@@ -19,8 +19,10 @@ _WORK = ("contacts", "measured", "repaired", "zoned", "unproved")
 """What `kernels.contact_substeps` counts, in its order."""
 
 
-_AHEAD = 8
+_AHEAD = 16
 """Steps for which sheets are decided to be height fields, at most."""
+_SHORTER = 3
+"""A decision that did not hold to its end is made again for so much less time than it held."""
 
 
 class ContactSubsteps:
@@ -62,6 +64,7 @@ class ContactSubsteps:
         self.watch = Watch(candidates) if fidelity.continuous else None
         if self.watch:
             self.name = f"{self.name[:-1]}, continuous tests]"
+        self._clocked = f"{self.name}: flat"
         self.drive: Any = None
         self.pushes = np.zeros((model.vertex_count, 8))
         self.clamped = np.zeros(model.vertex_count, np.bool_)
@@ -107,19 +110,22 @@ class ContactSubsteps:
         s, state, found = self.step, frame.state, self.candidates
         if self.flat_substeps is None or not found.flat:
             return 0
-        frame.count("contacts", 0)
         done, base, horizon = 0, -found.spent, found.horizon
         while True:
             done = self._along(frame, motion, done, min(base + horizon, s.substeps), base, horizon)
             if done == s.substeps:
                 found.spent = done - base
                 return done
-            # what was left is decided again for as long as it held
-            left = s.substeps - done
-            found.ahead, horizon = 1, min(done - base, left)
-            travel = horizon * s.dt * state.velocities
-            if horizon == 0 or not found.settle(state.positions, travel, horizon):
-                found.flat, found.horizon = False, 0
+            # decided again for a part of the time that it held, since what strays does so ever faster; for the next step, too,
+            # if that may be, since a decision costs the same for any time
+            held, left = done - base, s.substeps - done
+            whole = max(held // (_SHORTER * s.substeps), int(2 * held >= left + s.substeps))
+            found.ahead = max(1, whole)
+            for horizon in (left + whole * s.substeps, min(held, left)) if whole else (min(held, left),):
+                if horizon > 0 and found.settle(state.positions, (horizon * s.dt) * state.velocities, horizon):
+                    break
+            else:
+                found.ahead, found.flat, found.horizon = 1, False, 0
                 return done
             base = done
             frame.count("rebuilds", 1)
@@ -127,12 +133,18 @@ class ContactSubsteps:
     def run(self, frame: Frame) -> None:
         motion = self.step.motion(frame)
         frame.clamped = 0
-        self.contacts.forget()
-        self.base = 0  # candidates hold for the substeps base .. base + horizon - 1
         now = time.perf_counter()
-        n = self.base = self._flat(frame, motion)
-        self.horizon = self.candidates.horizon
-        frame.clock(f"{self.name}: flat", now)
+        done = self._flat(frame, motion)
+        frame.clock(self._clocked, now)
+        if not (frame.settled and done == self.step.substeps):
+            self._touch(frame, motion, done)
+
+    def _touch(self, frame: Frame, motion: Motion, n: int) -> None:
+        """Substeps from n on in which cloth may touch cloth, and what is left to do after the last."""
+        self.contacts.forget()
+        frame.count("contacts", 0)
+        # candidates hold for the substeps base .. base + horizon - 1
+        self.base, self.horizon = n, self.candidates.horizon
         while n < self.step.substeps:
             if self.together is not None and not self.candidates.flat:
                 n = self._together(frame, motion, n)
@@ -279,6 +291,7 @@ class ContactSubstepsOnBody(ContactSubsteps):
         self.flat_substeps = self.together = None
         candidates.ahead = candidates.most_ahead = 1
         self.name = f"{self.name[:-1]}, {body.label}]"
+        self._clocked = f"{self.name}: flat"
 
     def run(self, frame: Frame) -> None:
         self.body.begin(frame)

@@ -17,7 +17,12 @@ SPEED_CAP = 1e4
 
 
 class Frame:
-    """What stages share while a step runs: the state, the model, and named buffers."""
+    """What stages share while a step runs: the state, the model, and named buffers.
+
+    Attributes:
+        settled: whether nothing could touch in the last step, nor can in this one: no pairs, and nothing to do for stages that
+            work on them.
+    """
 
     def __init__(self, model: ClothModel, state: ClothState) -> None:
         self.model = model
@@ -29,6 +34,7 @@ class Frame:
         self.clamped = 0
         self.unbalanced = 0.0
         self.substep = 0
+        self.settled = False
         self.work: dict[str, int] = {}
         self.profile: dict[str, list[float]] = {}
         self.set_grips()
@@ -75,7 +81,11 @@ class Frame:
 
 
 class Stage(Protocol):
-    """One step of the pipeline. `reads` and `writes` name state arrays and buffers."""
+    """One step of the pipeline. `reads` and `writes` name state arrays and buffers.
+
+    One with `of_pairs` = True is left out of steps in which nothing can touch, but for the first of them, in which it puts its
+    arrays in order.
+    """
 
     name: str
     reads: tuple[str, ...]

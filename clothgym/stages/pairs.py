@@ -59,14 +59,23 @@ class FacePairs:
         self.free = (candidates.model.inverse_masses > 0)[:, None]
         self.travel = np.zeros((len(self.free), 3))
         self.fall = np.zeros((len(self.free), 3))
+        self.flat = False  # whether it was decided, before all other stages of the last step, that nothing can touch
 
     def run(self, frame: Frame) -> None:
-        self.look(frame, self.substeps)
+        found = self.candidates
+        # in the last step, too, nothing touched, from its beginning to its end
+        calm = self.flat and found.flat and found.spent > 0
+        if calm and found.lasts(self.substeps):
+            frame.count("decided_flat", 1)
+        else:
+            self.look(frame, self.substeps, found.ahead)
+        self.flat = found.flat
+        frame.settled = calm and found.flat
 
-    def look(self, frame: Frame, horizon: int) -> None:
-        """Looks `horizon` substeps ahead."""
+    def look(self, frame: Frame, horizon: int, times: int = 1) -> None:
+        """Looks `horizon` substeps ahead, or `times` as many if nothing can touch for so long."""
         state, ahead = frame.state, self.step * horizon / self.substeps
-        if self._settled(state, ahead, horizon):
+        if self._settles(state, ahead, horizon, times):
             frame.count("decided_flat", 1)
             frame.count("box_pairs", 0)
             return
@@ -75,30 +84,25 @@ class FacePairs:
         self.candidates.expect(state.positions, self.travel, horizon)
         frame.count("box_pairs", self.candidates.box_pairs)
 
-    def _settled(self, state: ClothState, seconds: float, horizon: int) -> bool:
-        """Whether nothing can touch; the travel is without gravity: what stands still stays, and what falls, falls together.
-
-        A decision costs as much as several steps' looks whether it still holds, so it is made for several steps if it can be.
-        """
+    def _settles(self, state: ClothState, seconds: float, horizon: int, times: int) -> bool:
+        """Whether nothing can touch; the travel is without gravity: what stands still stays, and what falls, falls together."""
         found = self.candidates
-        if found.lasts(state.positions, horizon):
-            return True
-        for steps in (found.ahead, 1):
-            np.multiply(state.velocities, steps * seconds, out=self.travel)
-            if found.settle(state.positions, self.travel, steps * horizon):
-                found.ahead = min(2 * steps, found.most_ahead)
+        for tried in (times, 1) if times > 1 else (1,):
+            np.multiply(state.velocities, tried * seconds, out=self.travel)
+            if found.settle(state.positions, self.travel, tried * horizon):
+                found.ahead = min(2 * tried, found.most_ahead)
                 return True
-            if steps == 1:
-                break
         found.ahead = 1
         return False
 
     def forget(self) -> None:
         """Every run decides anew."""
+        self.flat = False
         self.candidates.forget()
 
 
 class PrimitivePairs:
+    of_pairs = True
     name = "primitive pairs"
     reads: tuple[str, ...] = ("positions", "face_pairs")
     writes: tuple[str, ...] = ("quads",)

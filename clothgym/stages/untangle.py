@@ -19,6 +19,7 @@ class Untangle:
     Everything follows from the current positions, but for strategies with a memory, which is part of the state.
     """
 
+    of_pairs = True
     reads: tuple[str, ...] = ("positions", "velocities", "face_pairs")
     writes: tuple[str, ...] = ("positions", "velocities", "face_pairs", "apart")
 

@@ -27,8 +27,11 @@ from clothgym.kernels.integrate import (
     keep_above_ground,
 )
 
-_LEEWAY = 4e-3
-"""[m] points of faces that are further from the body than this are left alone, until a vertex may have come half as far."""
+_LEEWAY, _MOST_LEEWAY = 1e-3, 4e-3
+"""[m] points of faces that are further from the body than this are left alone, until a vertex has moved half as far: the
+least for cloth at rest, more for what moves, which would have to look around in every substep."""
+_AHEAD = 32
+"""Looking around is meant to do for half so many substeps."""
 
 
 class BodyContact(NamedTuple):
@@ -49,7 +52,8 @@ class BodyContact(NamedTuple):
     near_count: NDArray  # (1,) int64: how many points of faces are near the body
     near_corners: NDArray  # (N, 3) int32 corners of the faces on which they lie
     near_weights: NDArray  # (N, 3) their weights of these
-    travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
+    found_at: NDArray  # (V, 3) where the vertices were when these were found [m]; inf = to be found
+    leeway: NDArray  # (1,) how much further than their tolerance they may be from it [m]
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
     side: NDArray  # (V,) int8 sides of the body at the start of the substep, see `body_map.sides_of`
     normal: NDArray  # (V, 3) normal of the last contact
@@ -70,6 +74,8 @@ def begin_contact(x, p, contact, dt):
     before = contact.clock[0]
     contact.clock[0] = before - dt
     longest = 0.0
+    furthest = 0.0
+    found_at = contact.found_at
     for i in range(x.shape[0]):
         contact.pressed[i] = 0.0
         for c in range(3):
@@ -83,18 +89,23 @@ def begin_contact(x, p, contact, dt):
             + contact.approach[i, 1] * contact.approach[i, 1]
             + contact.approach[i, 2] * contact.approach[i, 2],
         )
-    contact.travel[0] += math.sqrt(longest)
-    _look_around(x, p, contact, contact.map, before)
+        dx, dy, dz = p[i, 0] - found_at[i, 0], p[i, 1] - found_at[i, 1], p[i, 2] - found_at[i, 2]
+        furthest = max(furthest, dx * dx + dy * dy + dz * dz)
+    _look_around(x, p, contact, contact.map, before, math.sqrt(longest), math.sqrt(furthest))
 
 
 @bare
-def _look_around(x, p, contact, body, before):
+def _look_around(x, p, contact, body, before, step, travel):
+    """`step`: the longest way of the substep, `travel`: since points near the body were found [m]."""
     if body is not None:
         for i in range(x.shape[0]):
             contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], body, before)
-        if contact.travel[0] > 0.5 * _LEEWAY or body.flow.shape[0] > 0:
+        if travel > 0.5 * contact.leeway[0] or body.flow.shape[0] > 0:
+            contact.leeway[0] = min(max(_AHEAD * step, _LEEWAY), _MOST_LEEWAY)
             _find_near_points(p, contact, body, contact.texel)
-            contact.travel[0] = 0.0
+            for i in range(x.shape[0]):
+                for c in range(3):
+                    contact.found_at[i, c] = p[i, c]
 
 
 @bare
@@ -156,6 +167,7 @@ def _choose_near_points(p, contact, body, texel_size):
     """Whether there was room for all of them."""
     points = contact.face_points
     age = contact.clock[0]
+    tolerance = contact.face_tolerance + contact.leeway[0]
     count = 0
     most = contact.near_weights.shape[0]
     places = points.shape[0]
@@ -175,7 +187,7 @@ def _choose_near_points(p, contact, body, texel_size):
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            texel, _, _ = find_plane(x, y, z, x, y, z, 0, body, contact.face_tolerance + _LEEWAY, age)
+            texel, _, _ = find_plane(x, y, z, x, y, z, 0, body, tolerance, age)
             if texel < 0:
                 continue
             if count == most:

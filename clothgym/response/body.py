@@ -75,7 +75,8 @@ def body_contact(
         near_corners=np.zeros((room, 3), np.int32),
         near_weights=np.zeros((room, 3)),
         clock=np.zeros(1),
-        travel=np.full(1, np.inf),
+        found_at=np.full((vertex_count, 3), np.inf),
+        leeway=np.zeros(1),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),
@@ -164,7 +165,7 @@ class BodyResponse:
             self._move(frame)
         self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
-        self._contact.travel[0] = np.inf  # a step does not depend on what was before it
+        self._contact.found_at[:] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
         return self._contact
 

@@ -250,13 +250,14 @@ def _hold_back(x, p, contact, i):
 @bare
 def _push(pushes, v, weight, amount, nx, ny, nz, ux, uy, uz):
     """What a point of the cloth asks of one of its vertices; the surface there moves with u."""
-    pushes[v, 0] += amount * weight * nx
-    pushes[v, 1] += amount * weight * ny
-    pushes[v, 2] += amount * weight * nz
-    pushes[v, 3] += 1.0
-    pushes[v, 4] += ux
-    pushes[v, 5] += uy
-    pushes[v, 6] += uz
+    share = weight * amount
+    pushes[v, 0] += share * share * nx
+    pushes[v, 1] += share * share * ny
+    pushes[v, 2] += share * share * nz
+    pushes[v, 3] += share
+    pushes[v, 4] += share * ux
+    pushes[v, 5] += share * uy
+    pushes[v, 6] += share * uz
 
 
 @bare

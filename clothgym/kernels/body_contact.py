@@ -27,11 +27,11 @@ from clothgym.kernels.integrate import (
     keep_above_ground,
 )
 
-_LEEWAY, _MOST_LEEWAY = 1e-3, 4e-3
-"""[m] points of faces that are further from the body than this are left alone, until a vertex has moved half as far: the
-least for cloth at rest, more for what moves, which would have to look around in every substep."""
-_AHEAD = 32
-"""Looking around is meant to do for half so many substeps."""
+_LEEWAY = 6e-3
+"""[m] points of faces that are further from the body than this are left alone until a vertex has moved half as far: less, and
+one vertex that jumps to and fro makes all of them be looked at again and again."""
+_CLOSE = 1e-3
+"""[m] points that are further from it than this are tested once a corner of their face has moved half as far as what is more."""
 
 
 class BodyContact(NamedTuple):
@@ -51,9 +51,9 @@ class BodyContact(NamedTuple):
     texel: float | None  # [m] faces are tested at every texel of this size that they cover; None = at these points
     near_count: NDArray  # (1,) int64: how many points of faces are near the body
     near_corners: NDArray  # (N, 3) int32 corners of the faces on which they lie
-    near_weights: NDArray  # (N, 3) their weights of these
+    near_weights: NDArray  # (N, 4) their weights of these; until one of these has moved so far, squared [m^2], they are not tested
     found_at: NDArray  # (V, 3) where the vertices were when these were found [m]; inf = to be found
-    leeway: NDArray  # (1,) how much further than their tolerance they may be from it [m]
+    travel: NDArray  # (V,) how far they are from there, squared [m^2]
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
     side: NDArray  # (V,) int8 sides of the body at the start of the substep, see `body_map.sides_of`
     normal: NDArray  # (V, 3) normal of the last contact
@@ -63,7 +63,7 @@ class BodyContact(NamedTuple):
     approach: NDArray  # (V, 3) way of the substep before contact [m]
     carried: NDArray  # (V, 3) way of the body's surface at the last contact, in this substep [m]
     pushes: (
-        NDArray  # (V, 7) sum of the corrections that faces ask for, their number, sum of the surface's velocities there
+        NDArray  # (V, 7) sums of what faces ask for, see `_push`: corrections, their weights, the surface's velocities
     )
     forces: NDArray  # (V, 3) force of the body on each vertex, summed over the substeps of a step [N]
 
@@ -73,7 +73,6 @@ def begin_contact(x, p, contact, dt):
     """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
     before = contact.clock[0]
     contact.clock[0] = before - dt
-    longest = 0.0
     furthest = 0.0
     found_at = contact.found_at
     for i in range(x.shape[0]):
@@ -83,27 +82,21 @@ def begin_contact(x, p, contact, dt):
             contact.moved[i, c] = 0.0
             contact.carried[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
-        longest = max(
-            longest,
-            contact.approach[i, 0] * contact.approach[i, 0]
-            + contact.approach[i, 1] * contact.approach[i, 1]
-            + contact.approach[i, 2] * contact.approach[i, 2],
-        )
         dx, dy, dz = p[i, 0] - found_at[i, 0], p[i, 1] - found_at[i, 1], p[i, 2] - found_at[i, 2]
-        furthest = max(furthest, dx * dx + dy * dy + dz * dz)
-    _look_around(x, p, contact, contact.map, before, math.sqrt(longest), math.sqrt(furthest))
+        contact.travel[i] = dx * dx + dy * dy + dz * dz
+        furthest = max(furthest, contact.travel[i])
+    _look_around(x, p, contact, contact.map, before, furthest)
 
 
 @bare
-def _look_around(x, p, contact, body, before, step, travel):
-    """`step`: the longest way of the substep, `travel`: since points near the body were found [m]."""
+def _look_around(x, p, contact, body, before, travel):
     if body is not None:
         for i in range(x.shape[0]):
             contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], body, before)
-        if travel > 0.5 * contact.leeway[0] or body.flow.shape[0] > 0:
-            contact.leeway[0] = min(max(_AHEAD * step, _LEEWAY), _MOST_LEEWAY)
+        if travel > (0.5 * _LEEWAY) ** 2 or body.flow.shape[0] > 0:
             _find_near_points(p, contact, body, contact.texel)
             for i in range(x.shape[0]):
+                contact.travel[i] = 0.0
                 for c in range(3):
                     contact.found_at[i, c] = p[i, c]
 
@@ -167,7 +160,7 @@ def _choose_near_points(p, contact, body, texel_size):
     """Whether there was room for all of them."""
     points = contact.face_points
     age = contact.clock[0]
-    tolerance = contact.face_tolerance + contact.leeway[0]
+    close = contact.face_tolerance + _CLOSE
     count = 0
     most = contact.near_weights.shape[0]
     places = points.shape[0]
@@ -187,7 +180,7 @@ def _choose_near_points(p, contact, body, texel_size):
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            texel, _, _ = find_plane(x, y, z, x, y, z, 0, body, tolerance, age)
+            texel, _, distance = find_plane(x, y, z, x, y, z, 0, body, contact.face_tolerance + _LEEWAY, age)
             if texel < 0:
                 continue
             if count == most:
@@ -197,6 +190,7 @@ def _choose_near_points(p, contact, body, texel_size):
             contact.near_weights[count, 0] = wa
             contact.near_weights[count, 1] = wb
             contact.near_weights[count, 2] = wc
+            contact.near_weights[count, 3] = 0.25 * max(distance - close, 0.0) ** 2
             count += 1
     contact.near_count[0] = count
     return True
@@ -249,7 +243,11 @@ def _hold_back(x, p, contact, i):
 
 @bare
 def _push(pushes, v, weight, amount, nx, ny, nz, ux, uy, uz):
-    """What a point of the cloth asks of one of its vertices; the surface there moves with u."""
+    """What a point of the cloth asks of one of its vertices; the surface there moves with u.
+
+    Several answers are averaged, each with its own size for its weight: among many points that only just touch, the one that
+    a tip of the body has pierced would else ask in vain.
+    """
     share = weight * amount
     pushes[v, 0] += share * share * nx
     pushes[v, 1] += share * share * ny
@@ -262,7 +260,7 @@ def _push(pushes, v, weight, amount, nx, ny, nz, ux, uy, uz):
 
 @bare
 def _give_pushes(p, inverse_masses, contact, dt):
-    """Several answers at a vertex are averaged."""
+    """Moves each vertex by the mean of what is asked of it."""
     pushes = contact.pushes
     for i in range(p.shape[0]):
         if pushes[i, 3] == 0.0 or inverse_masses[i] == 0.0:
@@ -290,9 +288,11 @@ def _test_faces(starts, p, inverse_masses, contact, body, dt):
     weights = contact.near_weights
     for n in range(contact.near_count[0]):
         # signed ones are asked at each access whether they count from the end
-        a = corners[n, 0]
-        b = corners[n, 1]
-        c = corners[n, 2]
+        a = np.uint64(corners[n, 0])
+        b = np.uint64(corners[n, 1])
+        c = np.uint64(corners[n, 2])
+        if max(contact.travel[a], contact.travel[b], contact.travel[c]) < weights[n, 3]:
+            continue
         wa, wb, wc = weights[n, 0], weights[n, 1], weights[n, 2]
         # of each view, what all corners have in common: bits of front and back cancel
         from_side = contact.side[a]
@@ -387,13 +387,9 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
             continue
         amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
         nx, ny, nz = planes[n, 0], planes[n, 1], planes[n, 2]
-        # of an edge's point one corner has no part in it, and asks for nothing
-        if wa > 0.0:
-            _push(pushes, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
-        if wb > 0.0:
-            _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
-        if wc > 0.0:
-            _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        _push(pushes, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
     if found.number[0] > 0:
         _give_pushes(p, inverse_masses, contact, dt)
     for i in range(p.shape[0]):

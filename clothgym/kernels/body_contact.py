@@ -31,7 +31,7 @@ _LEEWAY = 6e-3
 """[m] points of faces that are further from the body than this are left alone until a vertex has moved half as far: less, and
 one vertex that jumps to and fro makes all of them be looked at again and again."""
 _CLOSE = 1e-3
-"""[m] points that are further from it than this are tested once a corner of their face has moved half as far as what is more."""
+"""[m] points that are further from it than this wait until a corner of their face has moved half as far as what is more."""
 
 
 class BodyContact(NamedTuple):
@@ -51,7 +51,7 @@ class BodyContact(NamedTuple):
     texel: float | None  # [m] faces are tested at every texel of this size that they cover; None = at these points
     near_count: NDArray  # (1,) int64: how many points of faces are near the body
     near_corners: NDArray  # (N, 3) int32 corners of the faces on which they lie
-    near_weights: NDArray  # (N, 4) their weights of these; until one of these has moved so far, squared [m^2], they are not tested
+    near_weights: NDArray  # (N, 4) their weights of these; the squared way of one of these [m^2] for which they wait
     found_at: NDArray  # (V, 3) where the vertices were when these were found [m]; inf = to be found
     travel: NDArray  # (V,) how far they are from there, squared [m^2]
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step

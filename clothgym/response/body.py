@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 REACH = 0.012
 """[m] a body is felt beside its outline by this much more than the tolerance: what a vertex may sink in a substep."""
 
-_FACE_SHARE = 0.5
+_FACE_SHARE = 0.35
 """Points of faces keep this share of the tolerance: on a round limb they lie nearer than their corners."""
 
 _FACE_PUSH = 2e-3

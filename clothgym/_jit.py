@@ -116,6 +116,13 @@ def bare(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(**options)(function)
 
 
+def spread(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A `bare` that is put into every caller: what it is given in structures is handed over number by number, which takes
+    longer than a short function does."""
+    options: dict[str, Any] = {**flags, "_nrt": False, "forceinline": True}
+    return numba.njit(**options)(function)
+
+
 def compiled_count() -> tuple[int, int]:
     """How many kernels have machine code in this process, and how many there are."""
     return sum(1 for k in kernels if k.signatures), len(kernels)

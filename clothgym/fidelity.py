@@ -169,7 +169,7 @@ class Fidelity:
             as with maps), or "dop": the k-DOP tree, with vertices against faces both ways and edges against edges.
         map_size: texels of the body's maps along its longer side; finer maps follow the body more closely.
         body_tolerance: distance that vertices keep from the body [m].
-        body_faces: n: faces are tested against the body too, at half the tolerance, at the midpoints of the n^2 equal
+        body_faces: n: faces are tested against the body too, at .35 of the tolerance, at the midpoints of the n^2 equal
             triangles in each; 0 = vertices only, 1 = as the paper, more where the body is sharper than the cloth is fine.
         body_texels: faces are drawn into the maps instead, and tested at every texel that they cover: nothing that the maps
             show pokes through a face, however coarse the cloth is [Vassilev 2001, future work].

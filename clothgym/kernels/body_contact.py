@@ -27,10 +27,11 @@ from clothgym.kernels.integrate import (
     keep_above_ground,
 )
 
-_LEEWAY = 4e-3
-"""[m] faces whose points are further from the body than this are left alone, until a vertex may have come half as far."""
-_MOST_TEXELS = 4096
-"""Of a face that covers more texels, every second one is looked at, or every third and so on: only a torn mesh has such."""
+_LEEWAY = 6e-3
+"""[m] points of faces that are further from the body than this are left alone until a vertex has moved half as far: less, and
+one vertex that jumps to and fro makes all of them be looked at again and again."""
+_CLOSE = 1e-3
+"""[m] points that are further from it than this wait until a corner of their face has moved half as far as what is more."""
 
 
 class BodyContact(NamedTuple):
@@ -48,8 +49,11 @@ class BodyContact(NamedTuple):
     faces: NDArray  # (F, 3) int32
     face_points: NDArray  # (P, 3) weights of the points of each face that are tested
     texel: float | None  # [m] faces are tested at every texel of this size that they cover; None = at these points
-    near_faces: NDArray  # (1 + F,) int32: how many faces are near the body, and which
-    travel: NDArray  # (1,) how far vertices may have moved since these were found [m]; inf = to be found
+    near_count: NDArray  # (1,) int64: how many points of faces are near the body
+    near_corners: NDArray  # (N, 3) int32 corners of the faces on which they lie
+    near_weights: NDArray  # (N, 4) their weights of these; the squared way of one of these [m^2] for which they wait
+    found_at: NDArray  # (V, 3) where the vertices were when these were found [m]; inf = to be found
+    travel: NDArray  # (V,) how far they are from there, squared [m^2]
     clock: NDArray  # (1,) time [s] from the end of the substep to the moment that the map shows: the end of the step
     side: NDArray  # (V,) int8 sides of the body at the start of the substep, see `body_map.sides_of`
     normal: NDArray  # (V, 3) normal of the last contact
@@ -59,7 +63,7 @@ class BodyContact(NamedTuple):
     approach: NDArray  # (V, 3) way of the substep before contact [m]
     carried: NDArray  # (V, 3) way of the body's surface at the last contact, in this substep [m]
     pushes: (
-        NDArray  # (V, 7) sum of the corrections that faces ask for, their number, sum of the surface's velocities there
+        NDArray  # (V, 7) sums of what faces ask for, see `_push`: corrections, their weights, the surface's velocities
     )
     forces: NDArray  # (V, 3) force of the body on each vertex, summed over the substeps of a step [N]
 
@@ -69,7 +73,8 @@ def begin_contact(x, p, contact, dt):
     """Forgets the last substep; notes the side of the body on which each vertex is, and where it is heading."""
     before = contact.clock[0]
     contact.clock[0] = before - dt
-    longest = 0.0
+    furthest = 0.0
+    found_at = contact.found_at
     for i in range(x.shape[0]):
         contact.pressed[i] = 0.0
         for c in range(3):
@@ -77,28 +82,27 @@ def begin_contact(x, p, contact, dt):
             contact.moved[i, c] = 0.0
             contact.carried[i, c] = 0.0
             contact.approach[i, c] = p[i, c] - x[i, c]
-        longest = max(
-            longest,
-            contact.approach[i, 0] * contact.approach[i, 0]
-            + contact.approach[i, 1] * contact.approach[i, 1]
-            + contact.approach[i, 2] * contact.approach[i, 2],
-        )
-    contact.travel[0] += math.sqrt(longest)
-    _look_around(x, p, contact, contact.map, before)
+        dx, dy, dz = p[i, 0] - found_at[i, 0], p[i, 1] - found_at[i, 1], p[i, 2] - found_at[i, 2]
+        contact.travel[i] = dx * dx + dy * dy + dz * dz
+        furthest = max(furthest, contact.travel[i])
+    _look_around(x, p, contact, contact.map, before, furthest)
 
 
 @bare
-def _look_around(x, p, contact, body, before):
+def _look_around(x, p, contact, body, before, travel):
     if body is not None:
         for i in range(x.shape[0]):
             contact.side[i] = sides_of(x[i, 0], x[i, 1], x[i, 2], body, before)
-        if contact.travel[0] > 0.5 * _LEEWAY or body.flow.shape[0] > 0:
-            _find_near_faces(p, contact, body, contact.texel)
-            contact.travel[0] = 0.0
+        if travel > (0.5 * _LEEWAY) ** 2 or body.flow.shape[0] > 0:
+            _find_near_points(p, contact, body, contact.texel)
+            for i in range(x.shape[0]):
+                contact.travel[i] = 0.0
+                for c in range(3):
+                    contact.found_at[i, c] = p[i, c]
 
 
 @bare
-def _cover(p, a, b, c, size):
+def _cover(p, a, b, c, size, most):
     """Texels that a face (a, b, c) may cover: how many, the axis along which they are seen, the first column and row, the
     columns, and their size [m]."""
     ux, uy, uz = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
@@ -111,8 +115,8 @@ def _cover(p, a, b, c, size):
     uc, vc, _ = view_point(p[c, 0], p[c, 1], p[c, 2], axis)
     wide = max(ua, ub, uc) - min(ua, ub, uc)
     high = max(va, vb, vc) - min(va, vb, vc)
-    if not wide * high <= _MOST_TEXELS * size * size:
-        size = math.sqrt(wide * high / _MOST_TEXELS)
+    if not wide * high <= most * size * size:
+        size = math.sqrt(wide * high / most)
     column = math.ceil(min(ua, ub, uc) / size - 0.5)
     row = math.ceil(min(va, vb, vc) / size - 0.5)
     columns = math.floor(max(ua, ub, uc) / size - 0.5) - column + 1.0
@@ -140,18 +144,32 @@ def _weights_at(n, p, a, b, c, axis, column, row, columns, size):
 
 
 @bare
-def _find_near_faces(p, contact, body, texel_size):
-    """Faces with a point near the body at p: most of a garment hangs free, and its sweeps need not look."""
+def _find_near_points(p, contact, body, texel_size):
+    """Points of faces near the body at p: most of a garment hangs free, and its sweeps need not look."""
+    if texel_size is None:
+        _choose_near_points(p, contact, body, None)
+        return
+    size = texel_size
+    # only torn cloth covers more texels than there is room for
+    while not _choose_near_points(p, contact, body, size):
+        size *= 2.0
+
+
+@bare
+def _choose_near_points(p, contact, body, texel_size):
+    """Whether there was room for all of them."""
     points = contact.face_points
     age = contact.clock[0]
+    close = contact.face_tolerance + _CLOSE
     count = 0
+    most = contact.near_weights.shape[0]
     places = points.shape[0]
     for f in range(contact.faces.shape[0] if places > 0 else 0):
-        a = contact.faces[f, 0]
-        b = contact.faces[f, 1]
-        c = contact.faces[f, 2]
+        a = np.uint64(contact.faces[f, 0])
+        b = np.uint64(contact.faces[f, 1])
+        c = np.uint64(contact.faces[f, 2])
         if texel_size is not None:
-            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size)
+            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size, most)
         for n in range(places):
             if texel_size is not None:
                 wa, wb, wc = _weights_at(n, p, a, b, c, axis, column, row, columns, size)
@@ -162,12 +180,20 @@ def _find_near_faces(p, contact, body, texel_size):
             x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
             y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
             z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            texel, _, _ = find_plane(x, y, z, x, y, z, 0, body, contact.face_tolerance + _LEEWAY, age)
-            if texel >= 0:
-                count += 1
-                contact.near_faces[count] = f
-                break
-    contact.near_faces[0] = count
+            texel, _, distance = find_plane(x, y, z, x, y, z, 0, body, contact.face_tolerance + _LEEWAY, age)
+            if texel < 0:
+                continue
+            if count == most:
+                return False
+            for k in range(3):
+                contact.near_corners[count, k] = contact.faces[f, k]
+            contact.near_weights[count, 0] = wa
+            contact.near_weights[count, 1] = wb
+            contact.near_weights[count, 2] = wc
+            contact.near_weights[count, 3] = 0.25 * max(distance - close, 0.0) ** 2
+            count += 1
+    contact.near_count[0] = count
+    return True
 
 
 @bare
@@ -217,19 +243,24 @@ def _hold_back(x, p, contact, i):
 
 @bare
 def _push(pushes, v, weight, amount, nx, ny, nz, ux, uy, uz):
-    """What a point of the cloth asks of one of its vertices; the surface there moves with u."""
-    pushes[v, 0] += amount * weight * nx
-    pushes[v, 1] += amount * weight * ny
-    pushes[v, 2] += amount * weight * nz
-    pushes[v, 3] += 1.0
-    pushes[v, 4] += ux
-    pushes[v, 5] += uy
-    pushes[v, 6] += uz
+    """What a point of the cloth asks of one of its vertices; the surface there moves with u.
+
+    Several answers are averaged, each with its own size for its weight: among many points that only just touch, the one that
+    a tip of the body has pierced would else ask in vain.
+    """
+    share = weight * amount
+    pushes[v, 0] += share * share * nx
+    pushes[v, 1] += share * share * ny
+    pushes[v, 2] += share * share * nz
+    pushes[v, 3] += share
+    pushes[v, 4] += share * ux
+    pushes[v, 5] += share * uy
+    pushes[v, 6] += share * uz
 
 
 @bare
 def _give_pushes(p, inverse_masses, contact, dt):
-    """Several answers at a vertex are averaged."""
+    """Moves each vertex by the mean of what is asked of it."""
     pushes = contact.pushes
     for i in range(p.shape[0]):
         if pushes[i, 3] == 0.0 or inverse_masses[i] == 0.0:
@@ -245,58 +276,52 @@ def _give_pushes(p, inverse_masses, contact, dt):
 
 
 @bare
-def _test_faces(starts, p, inverse_masses, contact, body, texel_size, dt):
-    """Points of each face inside the body push its corners by their weights."""
+def _test_faces(starts, p, inverse_masses, contact, body, dt):
+    """Points of faces inside the body push the corners by their weights."""
     pushes = contact.pushes
     pushes[:] = 0.0
     found = False
-    points = contact.face_points
-    places = points.shape[0]
     age = contact.clock[0]
     planes = body.planes
     flow = body.flow
-    for near in range(1, contact.near_faces[0] + 1):
-        f = contact.near_faces[near]
-        a = contact.faces[f, 0]
-        b = contact.faces[f, 1]
-        c = contact.faces[f, 2]
-        from_side = contact.side[a]
+    corners = contact.near_corners
+    weights = contact.near_weights
+    for n in range(contact.near_count[0]):
+        # signed ones are asked at each access whether they count from the end
+        a = np.uint64(corners[n, 0])
+        b = np.uint64(corners[n, 1])
+        c = np.uint64(corners[n, 2])
+        if max(contact.travel[a], contact.travel[b], contact.travel[c]) < weights[n, 3]:
+            continue
+        wa, wb, wc = weights[n, 0], weights[n, 1], weights[n, 2]
         # of each view, what all corners have in common: bits of front and back cancel
+        from_side = contact.side[a]
         from_side &= contact.side[b] & contact.side[c]
-        if texel_size is not None:
-            places, axis, column, row, columns, size = _cover(p, a, b, c, texel_size)
-        for n in range(places):
-            if texel_size is not None:
-                wa, wb, wc = _weights_at(n, p, a, b, c, axis, column, row, columns, size)
-                if wa < 0.0:
-                    continue
-            else:
-                wa, wb, wc = points[n, 0], points[n, 1], points[n, 2]
-            x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
-            y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
-            z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
-            sx = wa * starts[a, 0] + wb * starts[b, 0] + wc * starts[c, 0]
-            sy = wa * starts[a, 1] + wb * starts[b, 1] + wc * starts[c, 1]
-            sz = wa * starts[a, 2] + wb * starts[b, 2] + wc * starts[c, 2]
-            texel, side, distance = find_plane(x, y, z, sx, sy, sz, from_side, body, contact.face_tolerance, age)
-            if texel < 0:
-                continue
-            found = True
-            # the point itself moves by this much
-            amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
-            at = 4 * side
-            nx, ny, nz = planes[texel, at], planes[texel, at + 1], planes[texel, at + 2]
-            ux, uy, uz = 0.0, 0.0, 0.0
-            if flow.shape[0] > 0:
-                at = 3 * side
-                ux, uy, uz = (
-                    np.float64(flow[texel, at]),
-                    np.float64(flow[texel, at + 1]),
-                    np.float64(flow[texel, at + 2]),
-                )
-            _push(pushes, a, wa, amount, nx, ny, nz, ux, uy, uz)
-            _push(pushes, b, wb, amount, nx, ny, nz, ux, uy, uz)
-            _push(pushes, c, wc, amount, nx, ny, nz, ux, uy, uz)
+        x = wa * p[a, 0] + wb * p[b, 0] + wc * p[c, 0]
+        y = wa * p[a, 1] + wb * p[b, 1] + wc * p[c, 1]
+        z = wa * p[a, 2] + wb * p[b, 2] + wc * p[c, 2]
+        sx = wa * starts[a, 0] + wb * starts[b, 0] + wc * starts[c, 0]
+        sy = wa * starts[a, 1] + wb * starts[b, 1] + wc * starts[c, 1]
+        sz = wa * starts[a, 2] + wb * starts[b, 2] + wc * starts[c, 2]
+        texel, side, distance = find_plane(x, y, z, sx, sy, sz, from_side, body, contact.face_tolerance, age)
+        if texel < 0:
+            continue
+        found = True
+        # the point itself moves by this much
+        amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
+        at = 4 * side
+        nx, ny, nz = planes[texel, at], planes[texel, at + 1], planes[texel, at + 2]
+        ux, uy, uz = 0.0, 0.0, 0.0
+        if flow.shape[0] > 0:
+            at = 3 * side
+            ux, uy, uz = (
+                np.float64(flow[texel, at]),
+                np.float64(flow[texel, at + 1]),
+                np.float64(flow[texel, at + 2]),
+            )
+        _push(pushes, a, wa, amount, nx, ny, nz, ux, uy, uz)
+        _push(pushes, b, wb, amount, nx, ny, nz, ux, uy, uz)
+        _push(pushes, c, wc, amount, nx, ny, nz, ux, uy, uz)
     if found:
         _give_pushes(p, inverse_masses, contact, dt)
 
@@ -317,8 +342,8 @@ def _keep_off(x, p, inverse_masses, contact, body, found, dt):
 
 @bare
 def _keep_off_maps(x, p, inverse_masses, contact, body, dt):
-    if contact.face_points.shape[0] > 0:
-        _test_faces(x, p, inverse_masses, contact, body, contact.texel, dt)
+    if contact.near_count[0] > 0:
+        _test_faces(x, p, inverse_masses, contact, body, dt)
     age = contact.clock[0]
     planes = body.planes
     flow = body.flow
@@ -362,13 +387,9 @@ def _keep_off_planes(x, p, inverse_masses, contact, found, dt):
             continue
         amount = min(contact.face_tolerance - distance, contact.face_push) / (wa * wa + wb * wb + wc * wc)
         nx, ny, nz = planes[n, 0], planes[n, 1], planes[n, 2]
-        # of an edge's point one corner has no part in it, and asks for nothing
-        if wa > 0.0:
-            _push(pushes, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
-        if wb > 0.0:
-            _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
-        if wc > 0.0:
-            _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        _push(pushes, a, wa, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        _push(pushes, b, wb, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
+        _push(pushes, c, wc, amount, nx, ny, nz, flow[n, 0], flow[n, 1], flow[n, 2])
     if found.number[0] > 0:
         _give_pushes(p, inverse_masses, contact, dt)
     for i in range(p.shape[0]):

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym._jit import bare, inlined, kernel
+from clothgym._jit import bare, inlined, kernel, spread
 from clothgym.kernels.raster import face_normal
 
 PLANES, DRIFT = 16, 12
@@ -254,7 +254,7 @@ def _plane_in(x, y, z, came_from, view, body, tolerance, age):
     return texel, 1, back
 
 
-@bare
+@spread
 def find_plane(x, y, z, start_x, start_y, start_z, came_from, body, tolerance, age):
     """Whether a point lies within the tolerance of the body or inside it: texel and side of the plane to respond along,
     and the signed distance to it; texel -1 = outside.
@@ -266,7 +266,7 @@ def find_plane(x, y, z, start_x, start_y, start_z, came_from, body, tolerance, a
     return _in_views(x, y, z, start_x, start_y, start_z, came_from, body, body.two, body.three, tolerance, age)
 
 
-@bare
+@spread
 def _in_views(x, y, z, start_x, start_y, start_z, came_from, body, two, three, tolerance, age):
     texel, side, distance = _plane_in(x, y, z, came_from & 3, body.one, body, tolerance, age)
     if two is not None and texel != -1:  # None is left out when this is compiled

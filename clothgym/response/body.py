@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 REACH = 0.012
 """[m] a body is felt beside its outline by this much more than the tolerance: what a vertex may sink in a substep."""
 
-_FACE_SHARE = 0.5
+_FACE_SHARE = 0.35
 """Points of faces keep this share of the tolerance: on a round limb they lie nearer than their corners."""
 
 _FACE_PUSH = 2e-3
@@ -32,6 +32,9 @@ _FACE_PUSH = 2e-3
 
 _SPARE, _FASTER = 0.02, 3.0
 """[m] and [m/s]: bodies that move are drawn this far around the cloth."""
+
+_STRETCHED, _ACROSS = 2, 4
+"""Room for points of faces: so many times what covers the cloth at rest, and so many more on each face."""
 
 _CLAMPED = 0.1
 """Share of the tolerance by which bodies must push a vertex within a substep before it can count as clamped."""
@@ -53,7 +56,9 @@ def body_contact(
     near: BodyMap | BodyPlanes, faces: IntArray, vertex_count: int, tolerance: float, face_parts: int, **answer: Any
 ) -> BodyContact:
     """What sweeps need against a map, or against planes that were found; `answer` gives friction, slide, rebound and texel,
-    without it 0, 1, 0 and None."""
+    without it 0, 1, 0 and None; with a texel, `room` is for so many of them."""
+    points = face_points(face_parts)
+    room = int(answer.get("room", len(faces) * len(points)))
     return BodyContact(
         map=near if isinstance(near, BodyMap) else None,
         found=near if isinstance(near, BodyPlanes) else None,
@@ -64,11 +69,14 @@ def body_contact(
         slide=float(answer.get("slide", 1.0)),
         rebound=float(answer.get("rebound", 0.0)),
         faces=np.ascontiguousarray(faces, np.int32),
-        face_points=face_points(face_parts),
+        face_points=points,
         texel=answer.get("texel"),
-        near_faces=np.zeros(1 + len(faces), np.int32),
+        near_count=np.zeros(1, np.int64),
+        near_corners=np.zeros((room, 3), np.int32),
+        near_weights=np.zeros((room, 4)),
         clock=np.zeros(1),
-        travel=np.full(1, np.inf),
+        found_at=np.full((vertex_count, 3), np.inf),
+        travel=np.zeros(vertex_count),
         side=np.zeros(vertex_count, np.int8),
         normal=np.zeros((vertex_count, 3)),
         pressed=np.zeros(vertex_count),
@@ -79,6 +87,12 @@ def body_contact(
         pushes=np.zeros((vertex_count, 7)),
         forces=np.zeros((vertex_count, 3)),
     )
+
+
+def _room(model: ClothModel, texel: float) -> int:
+    """For points of all faces, one in each texel [m] that they cover: cloth seldom stretches to twice its area, but many of
+    its faces may lie across texels of which they cover little."""
+    return _STRETCHED * math.ceil(float(model.vertex_areas.sum()) / texel**2) + _ACROSS * len(model.faces)
 
 
 def body_maps(bodies: tuple[Body, ...], fidelity: Fidelity) -> BodyMaps:
@@ -131,10 +145,10 @@ class BodyResponse:
             model.vertex_count,
             fidelity.body_tolerance,
             fidelity.body_faces if texel is None else 1,
+            **({} if texel is None else {"texel": texel, "room": _room(model, texel)}),
             friction=float(np.mean([body.friction for body in bodies])) if coulomb else 0.0,
             slide=1.0 if coulomb else float(np.mean([body.slide for body in bodies])),
             rebound=float(np.mean([body.rebound for body in bodies])),
-            texel=texel,
         )
 
     _moves = ", drawn anew each step"
@@ -151,7 +165,7 @@ class BodyResponse:
             self._move(frame)
         self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
-        self._contact.travel[0] = np.inf  # a step does not depend on what was before it
+        self._contact.found_at[:] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
         return self._contact
 

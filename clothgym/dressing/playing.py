@@ -70,7 +70,7 @@ def _worn(draped: Draped, simulation: Simulation) -> bool | None:
     (moving,) = simulation.scene.bodies
     now = Body((moving.at(simulation.time), moving.mesh.faces), moving.name)
     tolerance = simulation.fidelity.body_tolerance
-    maps = BodyMaps([now], simulation.fidelity.map_size, tolerance + REACH)
+    maps = BodyMaps([now], simulation.fidelity.map_size, tolerance + REACH, tolerance=tolerance)
     expected = expected_limbs(draped.garment, now)
     found = threadings(draped.garment, np.array(simulation.positions), now, maps, expected)
     return all(opening.right for opening in found)

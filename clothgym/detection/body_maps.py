@@ -22,9 +22,6 @@ _COLOUR_LEVELS = 127.5
 _LEAST_MARGIN_PIXELS = 2
 _MOST_MARGIN_PIXELS = 100
 """Texels of small bodies are no finer than this part of the margin: it would fill the memory."""
-_BESIDE = 0.75
-"""Tolerances that the part of the body a point keeps off may lie beside it, at most: where the surface is inclined by phi to
-the view and goes on so, tan(phi / 2) of them, since its depth may be one tolerance short."""
 
 
 class BodyMaps:
@@ -165,7 +162,7 @@ class _View:
             maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, levels, planes, depths, flow
         )
         self.filled = depths[0] > -np.inf
-        reach = 0.5 + _BESIDE * maps.tolerance / self.pixel
+        reach = 0.5 + maps.tolerance / self.pixel  # from the middle of a texel
         body_outline.depth_bounds(depths, flow, self.axis, dt, reach, np.empty_like(depths), bounds)
         surface = maps._surface
         edge_count = len(surface.edges)

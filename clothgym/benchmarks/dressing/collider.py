@@ -174,7 +174,11 @@ def _accuracy(parameters: dict[str, Any]) -> dict[str, Any]:
                 name,
                 *(
                     float(np.mean(which[near & (region == k)]))
-                    for which, near in ((~felt, exact < _ASKED - 3e-4), (~felt, exact < 0.002), (felt, exact > _COVERED))
+                    for which, near in (
+                        (~felt, exact < _ASKED - 3e-4),
+                        (~felt, exact < 0.002),
+                        (felt, exact > _COVERED),
+                    )
                 ),
             ]
             for k, name in enumerate(_REGIONS)

@@ -83,7 +83,7 @@ class NaiveMaps:
         last = math.ceil(reach)
         around = [[self.ray((row + i, column + j)) for j in range(-last, last + 1)] for i in range(-last, last + 1)]
         high, low = (
-            sign * highest([highest([-math.inf if r is None else sign * r[side][0][2] for r in line], reach) for line in around],
+            sign * highest([highest([-math.inf if r is None else sign * r[side][0][2] for r in row], reach) for row in around],
                            reach)
             for side, sign in ((0, 1.0), (1, -1.0))
         )  # fmt: skip

@@ -30,8 +30,8 @@ def expected_limbs(garment: Garment, body: Body) -> list[str]:
 def carried_limbs(body: Body, vertices: ArrayLike) -> tuple[Limb, ...]:
     """The limbs of a body whose vertices have moved to (V, 3) [m], by whatever motion.
 
-    Each point goes along with the vertices nearest to it where the limbs were told, as a rigid body [Kabsch 1976]; the last one,
-    beyond the tip, with the one before it.
+    Each point goes along with the vertices nearest to it where the limbs were told, as a rigid body [Kabsch 1976]; the last
+    one, beyond the tip, with the one before it.
     """
     start, now = body.mesh.vertices, as_points(vertices, "vertices", len(body.mesh.vertices))
     count = min(len(start), max(4, min(round(_AROUND * len(start)), _MOST_AROUND)))

@@ -210,7 +210,9 @@ def t_shirt(s: Sizes) -> Pattern:
 
 def shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the wrists."""
-    cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.065 * s.height, 0.02 * s.height, raised=_RAISED)
+    cut = _Cut(
+        s.hip_height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.065 * s.height, 0.02 * s.height, raised=_RAISED
+    )
     return _with_sleeves("shirt", s, cut, 0.88, 1.7)
 
 

@@ -248,7 +248,7 @@ def depth_bounds(depths, flow, along, dt, reach, rowwise, bounds):
     """Least and greatest depth of the body in the square of `reach` texels around the middle of each texel.
 
     Args:
-        depths: (2, rows, columns) float32 of front and back; -inf, inf = nothing.
+        depths: (2, rows, columns) float32 of front and back, used up; -inf, inf = nothing.
         flow: (rows * columns, 9) or (0, 9): bounds then hold for all of a step of dt [s] before.
         along: world axis of the view.
         reach: texels, not negative; need not be whole.

@@ -74,15 +74,19 @@ class NaiveMaps:
     def query(self, point, tolerance, reach):
         """(distance, normal) of a point over a texel of the body; (inf, zero) outside; None over other texels.
 
-        `reach`: texels around that tell at what depths z there is body.
+        `reach`: texels around its middle that tell at what depths z there is body.
         """
         texel = self.texel(point)
         if texel is None or (here := self.ray(texel)) is None:
             return None
         row, column = texel
-        around = [self.ray((row + i, column + j)) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)]
-        high = max(r[0][0][2] for r in around if r is not None)
-        low = min(r[1][0][2] for r in around if r is not None)
+        last = math.ceil(reach)
+        around = [[self.ray((row + i, column + j)) for j in range(-last, last + 1)] for i in range(-last, last + 1)]
+        high, low = (
+            sign * highest([highest([-math.inf if r is None else sign * r[side][0][2] for r in row], reach) for row in around],
+                           reach)
+            for side, sign in ((0, 1.0), (1, -1.0))
+        )  # fmt: skip
         planes = [(float(normal @ (point - place)), normal) for place, normal in here]
         signed, out = self.outline(self.centre(texel))
         planes.append((signed + float(out @ (point[:2] - self.centre(texel))), np.array([*out, 0.0])))
@@ -90,6 +94,17 @@ class NaiveMaps:
         if distance >= tolerance or not low - tolerance <= point[2] <= high + tolerance:
             return math.inf, np.zeros(3)
         return distance, normal
+
+
+def highest(heights, reach):
+    """The highest place of a polygon through heights a step apart, within `reach` steps of the middle one; a height beside
+    nothing (-inf) counts up to there."""
+    last = len(heights) // 2
+    inner, best = heights[1:-1], -math.inf
+    for outer, before in ((heights[0], heights[1]), (heights[-1], heights[-2])):
+        share = reach - (last - 1)
+        best = max(best, outer if before == -math.inf else (1.0 - share) * before + share * outer)
+    return max(best, *inner)
 
 
 def sphere_distance(points, radius):

@@ -11,7 +11,8 @@ import trimesh
 
 from clothgym import body, body_sequence, rig
 from clothgym.dressing import drape, play
-from clothgym.motion import Walk
+from clothgym.dressing.worn import carried_limbs
+from clothgym.motion import Keyframes, Walk
 
 
 def figure():
@@ -180,3 +181,24 @@ def test_a_skirt_goes_along_with_a_body_that_moves(tmp_path):
     assert played.report["depth_max"] < 3e-3
     assert len(played.frames) == 12
     assert np.abs(played.simulation.body_meshes[0][1] - loaded.at(0.2)).max() < 1e-12
+
+
+@pytest.mark.parametrize("time", [0.0, 0.9, 1.3, 1.7])
+def test_limbs_go_along_with_the_surface(time):
+    """As the skeleton has them, from the vertices alone."""
+    woman, steps = body.load("female", "a_pose"), Walk("female", "a_pose")
+    carried = carried_limbs(woman, steps.vertices(woman.mesh.vertices, time))
+    for limb, true in zip(carried, rig.load("female").limbs(steps.rotations(time)), strict=True):
+        assert (limb.name, limb.start) == (true.name, true.start)
+        off = np.linalg.norm(limb.points - true.points, axis=1)
+        assert off.max() < 0.01
+
+
+def test_play_tells_whether_a_body_with_limbs_still_wears_it():
+    woman = body.load("female", "a_pose")
+    start, low = woman.mesh.vertices, np.array([0.0, -1.0, 0.0])
+    draped = drape("skirt", woman, edge_length=0.04, fidelity="draft", self_collision=False, seconds=0.5)
+    moved = np.stack([start, start + 0.02 * low])
+    assert play(draped, Keyframes((0.0, 0.1), moved), 0.1).report["worn"] is True
+    gone = np.stack([start, start + 3.0 * low])
+    assert play(draped, Keyframes((0.0, 0.02), gone), 0.1).report["worn"] is False

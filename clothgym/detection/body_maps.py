@@ -22,9 +22,6 @@ _COLOUR_LEVELS = 127.5
 _LEAST_MARGIN_PIXELS = 2
 _MOST_MARGIN_PIXELS = 100
 """Texels of small bodies are no finer than this part of the margin: it would fill the memory."""
-_BOUND_PIXELS = 2
-_BOUND = 0.003
-"""[m] of fine maps: the part of the body that a point keeps its distance from may lie this far beside it."""
 
 
 class BodyMaps:
@@ -49,6 +46,8 @@ class BodyMaps:
         margin: [m] how far beside the body it is felt; at least the tolerance plus what a point may sink in a substep.
         normals: "face", "interpolated" or "bytes", see `Fidelity.body_normals`.
         views: axes of the pairs, of `VIEWS`.
+        tolerance: [m] that will be asked for. A plane holds as far along its view as the body has parts so near; with more, it
+            would hold cloth off where the body curves away from it.
     """
 
     def __init__(
@@ -58,9 +57,11 @@ class BodyMaps:
         margin: float = 0.015,
         normals: str = "face",
         views: str = "z",
+        tolerance: float = 0.003,
     ) -> None:
         self.vertices, self.faces = joined(bodies)
         self.map_size, self.margin, self.normals, self.views = map_size, margin, normals, views
+        self.tolerance = tolerance
         self._surface = Surface(self.faces, len(self.vertices))
         self.render(self.vertices)
 
@@ -161,7 +162,7 @@ class _View:
             maps.vertices, normals, velocities, maps.faces, layers, origin, self.axes, levels, planes, depths, flow
         )
         self.filled = depths[0] > -np.inf
-        reach = max(_BOUND_PIXELS, math.ceil(_BOUND / self.pixel))
+        reach = 0.5 + maps.tolerance / self.pixel  # from the middle of a texel
         body_outline.depth_bounds(depths, flow, self.axis, dt, reach, np.empty_like(depths), bounds)
         surface = maps._surface
         edge_count = len(surface.edges)

@@ -13,9 +13,9 @@ from clothgym.arrays import check_number
 from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.dressing.draping import Draped
-from clothgym.dressing.layers import effort_of
+from clothgym.dressing.layers import effort_of, openings
 from clothgym.dressing.walking import PARTS, Walked, frame_by_frame
-from clothgym.dressing.worn import expected_limbs, threadings
+from clothgym.dressing.worn import carried_limbs, expected_limbs, threadings
 from clothgym.mesh import Mesh
 from clothgym.motion import Motion
 from clothgym.response.body import REACH
@@ -34,7 +34,7 @@ def play(
         on_frame: called with the simulation at the start and after each frame of 1/60 s.
 
     Returns:
-        The report has worn (what goes through each opening; of a body with a skeleton this is not looked for, None), hits_max
+        The report has worn (at the end, every opening: its limb goes through it, or any part of a body without limbs), hits_max
         and hits_end (edges through faces), depth_p99_max and depth_max [m] below the body's true surface.
 
     Raises:
@@ -63,14 +63,16 @@ def play(
     return Walked(simulation, report, frames)
 
 
-def _worn(draped: Draped, simulation: Simulation) -> bool | None:
-    """Whether the body goes through every opening where it is now."""
-    if draped.body.limbs:
-        return None
+def _worn(draped: Draped, simulation: Simulation) -> bool:
+    """Whether what belongs there goes through every opening where the body is now."""
     (moving,) = simulation.scene.bodies
-    now = Body((moving.at(simulation.time), moving.mesh.faces), moving.name)
-    tolerance = simulation.fidelity.body_tolerance
-    maps = BodyMaps([now], simulation.fidelity.map_size, tolerance + REACH)
-    expected = expected_limbs(draped.garment, now)
-    found = threadings(draped.garment, np.array(simulation.positions), now, maps, expected)
+    vertices = moving.at(simulation.time)
+    if draped.body.limbs:
+        found = openings([draped], simulation, carried_limbs(draped.body, vertices))
+    else:
+        now = Body((vertices, moving.mesh.faces), moving.name)
+        tolerance = simulation.fidelity.body_tolerance
+        maps = BodyMaps([now], simulation.fidelity.map_size, tolerance + REACH, tolerance=tolerance)
+        expected = expected_limbs(draped.garment, now)
+        found = threadings(draped.garment, np.array(simulation.positions), now, maps, expected)
     return all(opening.right for opening in found)

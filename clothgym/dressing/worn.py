@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
-from clothgym.arrays import FloatArray
+from clothgym.arrays import FloatArray, as_points
 from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
 from clothgym.detection.openings import Threading, expected_limb, threading
 from clothgym.garment import Garment
+from clothgym.rig import Limb
 
 SLIDE_LIMIT = 0.2
 """[m] an opening whose middle moves further than this after sewing slid off: a skirt around the ankles is not worn."""
+
+_AROUND, _MOST_AROUND = 0.01, 200
+"""Share of a body's vertices, and their greatest number, that carry a point of a limb's path along."""
 
 
 def expected_limbs(garment: Garment, body: Body) -> list[str]:
@@ -19,6 +25,30 @@ def expected_limbs(garment: Garment, body: Body) -> list[str]:
     if not body.limbs:
         return ["body"] * len(garment.openings)
     return [expected_limb(garment.vertices[loop], body.limbs) for loop in garment.openings]
+
+
+def carried_limbs(body: Body, vertices: ArrayLike) -> tuple[Limb, ...]:
+    """The limbs of a body whose vertices have moved to (V, 3) [m], by whatever motion.
+
+    Each point goes along with the vertices nearest to it where the limbs were told, as a rigid body [Kabsch 1976]; the last
+    one, beyond the tip, with the one before it.
+    """
+    start, now = body.mesh.vertices, as_points(vertices, "vertices", len(body.mesh.vertices))
+    count = min(len(start), max(4, min(round(_AROUND * len(start)), _MOST_AROUND)))
+    tree = cKDTree(start)
+    limbs = []
+    for limb in body.limbs:
+        points = np.array(limb.points)
+        for n, point in enumerate(limb.points):
+            if n < len(points) - 1:
+                _, near = tree.query(point, count)
+                before, after = start[near].mean(axis=0), now[near].mean(axis=0)
+                u, _, v = np.linalg.svd((start[near] - before).T @ (now[near] - after))
+                u[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(v))
+                turn = u @ v
+            points[n] = after + (point - before) @ turn
+        limbs.append(Limb(limb.name, points, limb.start))
+    return tuple(limbs)
 
 
 def threadings(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expected: list[str]) -> list[Threading]:

@@ -229,16 +229,29 @@ def write_outline(vertices, velocities, edges, chosen, place, view, filled, line
                 planes[texel, DRIFT + 2] = np.float32(na * flow[texel, 6 + a] + nb * flow[texel, 6 + b])
 
 
+@bare
+def _look_at(best, nearer, there, share):
+    """Raises best (N,) to what texels show that are some way off, or as far towards them from the ones before as `share` says.
+
+    Between two texels the depth is between theirs, unless one of them shows nothing.
+    """
+    for n in range(best.shape[0]):
+        before, here = nearer[n], there[n]
+        if before > -np.inf:
+            here = before + share * (here - before)
+        if here > best[n]:
+            best[n] = here
+
+
 @kernel
 def depth_bounds(depths, flow, along, dt, reach, rowwise, bounds):
-    """Least and greatest depth of the body in the square of 2 reach + 1 texels around each texel.
-
-    A surface near a point shows in one of the texels around it.
+    """Least and greatest depth of the body in the square of `reach` texels around the middle of each texel.
 
     Args:
-        depths: (2, rows, columns) float32 of front and back; -inf, inf = nothing.
+        depths: (2, rows, columns) float32 of front and back, used up; -inf, inf = nothing.
         flow: (rows * columns, 9) or (0, 9): bounds then hold for all of a step of dt [s] before.
         along: world axis of the view.
+        reach: texels, not negative; need not be whole.
         rowwise: (2, rows, columns) float32 scratch.
         bounds: (rows * columns, 2) float32, written; inf, -inf = nothing around.
     """
@@ -250,20 +263,31 @@ def depth_bounds(depths, flow, along, dt, reach, rowwise, bounds):
                 if depths[0, row, column] > -np.inf:
                     depths[0, row, column] += max(np.float32(0.0), np.float32(-dt) * flow[texel, along])
                     depths[1, row, column] += min(np.float32(0.0), np.float32(-dt) * flow[texel, 3 + along])
-    for row in range(rows):
-        for column in range(columns):
-            high, low = depths[0, row, column], depths[1, row, column]
-            for c in range(max(0, column - reach), min(columns, column + reach + 1)):
-                high = max(high, depths[0, row, c])
-                low = min(low, depths[1, row, c])
-            rowwise[0, row, column] = high
-            rowwise[1, row, column] = low
-    for row in range(rows):
-        first, last = max(0, row - reach), min(rows, row + reach + 1)
-        for column in range(columns):
-            high, low = rowwise[0, row, column], rowwise[1, row, column]
-            for r in range(first, last):
-                high = max(high, rowwise[0, r, column])
-                low = min(low, rowwise[1, r, column])
-            bounds[row * columns + column, 0] = low
-            bounds[row * columns + column, 1] = high
+    last = np.int64(math.ceil(reach))
+    one = np.float32(1.0)
+    best = np.empty(columns, np.float32)
+    for side in range(2):
+        outwards = np.float32(1.0 - 2.0 * side)
+        if side == 1:
+            for row in range(rows):
+                for column in range(columns):
+                    depths[1, row, column] = -depths[1, row, column]
+        for row in range(rows):
+            seen, found = depths[side, row], rowwise[side, row]
+            for column in range(columns):
+                found[column] = seen[column]
+            for n in range(1, min(last, columns - 1) + 1):
+                share = np.float32(reach - (n - 1)) if n == last else one
+                _look_at(found[n:], seen[1 : columns - n + 1], seen[: columns - n], share)
+                _look_at(found[: columns - n], seen[n - 1 : columns - 1], seen[n:], share)
+        for row in range(rows):
+            for column in range(columns):
+                best[column] = rowwise[side, row, column]
+            for n in range(1, last + 1):
+                share = np.float32(reach - (n - 1)) if n == last else one
+                if row >= n:
+                    _look_at(best, rowwise[side, row - n + 1], rowwise[side, row - n], share)
+                if row + n < rows:
+                    _look_at(best, rowwise[side, row + n - 1], rowwise[side, row + n], share)
+            for column in range(columns):
+                bounds[row * columns + column, 1 - side] = outwards * best[column]

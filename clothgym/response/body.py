@@ -105,11 +105,11 @@ def body_maps(bodies: tuple[Body, ...], fidelity: Fidelity) -> BodyMaps:
     if views == "auto":
         views = "z" if all(body.limbs for body in bodies) else "zy"
     drawn = _drawn if any(body.motion is not None for body in bodies) else _shared
-    return drawn(bodies, fidelity.map_size, fidelity.body_tolerance + REACH, fidelity.body_normals, views)
+    return drawn(bodies, fidelity.map_size, fidelity.body_tolerance, fidelity.body_normals, views)
 
 
-def _drawn(bodies: tuple[Body, ...], map_size: int, margin: float, normals: str, views: str) -> BodyMaps:
-    return BodyMaps(bodies, map_size, margin, normals, views)
+def _drawn(bodies: tuple[Body, ...], map_size: int, tolerance: float, normals: str, views: str) -> BodyMaps:
+    return BodyMaps(bodies, map_size, tolerance + REACH, normals, views, tolerance)
 
 
 _shared = lru_cache(maxsize=4)(_drawn)

@@ -21,7 +21,9 @@ _CAP = 0.6
 """Height of a sleeve's cap, over that which would be as long as the armhole. The armpit comes to lie beside the trunk, inwards
 of where it is drawn: a sleeve with the whole cap would begin above the shoulder and stand up there with its end."""
 _DROPPED = 1.2
-"""Shoulders of a garment with such sleeves end this much further out than the body's."""
+"""Shoulders of a garment with such sleeves end this much further out than the body's,"""
+_RAISED = 0.1
+"""and fall less by this slope: as steep as the body's they are held up by its arms, and the neck stands up."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class _Cut:
     back_drop: float
     bust_ease: float = 1.07
     fitted: bool = False
+    raised: float = 0.0  # slope by which shoulders fall less than the body's
 
 
 def arm_normal(arm: Arm) -> FloatArray:
@@ -56,9 +59,10 @@ def _armpit(s: Sizes, half: float) -> float:
     return min(s.armpit_height - 0.02 * s.height, below)
 
 
-def _shoulder_line(s: Sizes, x: float) -> float:
-    share = (x - s.neck_half) / (s.shoulder_half - s.neck_half)
-    return s.neck_height + share * (s.shoulder_height - s.neck_height) + _ABOVE_SHOULDERS
+def _shoulder_line(s: Sizes, x: float, raised: float) -> float:
+    beside = x - s.neck_half
+    fall = (s.shoulder_height - s.neck_height) / (s.shoulder_half - s.neck_half)
+    return s.neck_height + (fall + raised) * beside + _ABOVE_SHOULDERS
 
 
 def _neckline(x: float, y: float, drop: float) -> tuple[Point, Point]:
@@ -70,7 +74,7 @@ def _body(s: Sizes, cut: _Cut, back: bool) -> Outline:
     half = quarter(s.bust_girth, cut.bust_ease)
     armpit = _armpit(s, half)
     tip_x, neck_x = cut.tip * s.shoulder_half, s.neck_half + cut.neck
-    tip, neck = (tip_x, _shoulder_line(s, tip_x)), (neck_x, _shoulder_line(s, neck_x))
+    tip, neck = ((x, _shoulder_line(s, x, cut.raised)) for x in (tip_x, neck_x))
     # the front's armhole is hollowed out more
     hollow = (0.94 if back else 0.86) * tip_x
     depth = tip[1] - armpit
@@ -198,14 +202,17 @@ def dress(s: Sizes) -> Pattern:
 def t_shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the elbows."""
     cut = _Cut(
-        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.055 * s.height, 0.012 * s.height
-    )
+        s.hip_height + 0.02 * s.height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.055 * s.height, 0.012 * s.height,
+        raised=_RAISED,
+    )  # fmt: skip
     return _with_sleeves("t_shirt", s, cut, 0.42, 1.45)
 
 
 def shirt(s: Sizes) -> Pattern:
     """To the hips, sleeves to the wrists."""
-    cut = _Cut(s.hip_height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.065 * s.height, 0.02 * s.height)
+    cut = _Cut(
+        s.hip_height, quarter(s.hip_girth, 1.08), _DROPPED, 0.02, 0.065 * s.height, 0.02 * s.height, raised=_RAISED
+    )
     return _with_sleeves("shirt", s, cut, 0.88, 1.7)
 
 

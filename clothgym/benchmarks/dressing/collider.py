@@ -30,6 +30,8 @@ _SHIRT = np.array([[-0.45, 0.85, -0.3], [0.45, 1.45, 0.3]])
 _FORMS = ("face", "interpolated", "bytes", "paper")
 _CROSSED = "arms before the trunk"
 _REGIONS = ("trunk", "arms", "legs")
+_ASKED = 0.005
+"""[m] tolerance at which accuracy is measured."""
 _COVERED = 0.008
 """[m] points nearer than this to the surface count for the error; further outside must not be felt."""
 
@@ -151,8 +153,8 @@ def _accuracy(parameters: dict[str, Any]) -> dict[str, Any]:
     if form == "paper":
         felt, error = _paper_answers(body, parameters["map_size"], points, exact)
     else:
-        maps = BodyMaps([body], parameters["map_size"], MARGIN, form, parameters["views"])
-        found, _ = maps.query(points, 0.005)
+        maps = BodyMaps([body], parameters["map_size"], MARGIN, form, parameters["views"], _ASKED)
+        found, _ = maps.query(points, _ASKED)
         felt = np.isfinite(found)
         error = np.abs(found - exact)[felt & (np.abs(exact) < _COVERED)]
     boxes, box_error = BodyBoxes(vertices, faces, skin.face_parts()), None
@@ -165,14 +167,18 @@ def _accuracy(parameters: dict[str, Any]) -> dict[str, Any]:
         "error_p95": float(np.percentile(error, 95)),
         "error_p99": float(np.percentile(error, 99)),
         "deep_missed": float((~felt[exact < -0.001]).mean()),
-        "shell_missed": float((~felt[exact < 0.005 - 3e-4]).mean()),
+        "shell_missed": float((~felt[exact < _ASKED - 3e-4]).mean()),
         "filled": float(felt[exact > _COVERED].mean()),
         "by_region": [
             [
                 name,
                 *(
                     float(np.mean(which[near & (region == k)]))
-                    for which, near in ((~felt, exact < 0.005 - 3e-4), (~felt, exact < 0.002), (felt, exact > _COVERED))
+                    for which, near in (
+                        (~felt, exact < _ASKED - 3e-4),
+                        (~felt, exact < 0.002),
+                        (felt, exact > _COVERED),
+                    )
                 ),
             ]
             for k, name in enumerate(_REGIONS)
@@ -237,7 +243,7 @@ def _paper_answers(body: Body, map_size: int, points: FloatArray, exact: FloatAr
     front, back = depth[0, at_row, at_column], depth[1, at_row, at_column]
     over = shown[at_row, at_column]
     signed = np.maximum(points[:, 2] - front, back - points[:, 2])
-    felt = over & (signed < 0.005)
+    felt = over & (signed < _ASKED)
     return felt, np.abs(signed - exact)[over & (np.abs(exact) < _COVERED)]
 
 

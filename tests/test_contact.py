@@ -267,7 +267,7 @@ def test_pairs_of_vertices_that_stray_are_listed_once(seed):
     x = scene.start + rng.normal(0, 0.002, scene.start.shape)
     travel = rng.normal(0, 0.002, x.shape) + np.array([0.0, 0.3, 0.0])
     candidates = Candidates(model, Hierarchy(model.surface, x))
-    candidates.watched = watched_pairs(20_000, len(x))
+    candidates.watched = watched_pairs(1, len(x))
     candidates.expect(x, travel)
     candidates.gather()
     before = listed(candidates)

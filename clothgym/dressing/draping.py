@@ -169,11 +169,12 @@ def drape(
             notes.append(f"{text}: not worn {when}, {wrong}")
             continue
         scene, tell = dataclasses.replace(scene, self_collision=self_collision), _told(progress, "drape", text)
-        tangled = self_collision and intersections(x, garment.faces).hit_count > _TANGLED
-        if not tangled:
+        # what is not worn is only shown: to fall again would be of no use, and far from where it belongs may take for ever
+        again = not wrong and self_collision and intersections(x, garment.faces).hit_count > _TANGLED
+        if not again:
             simulation, speeds = _simulate(_begun(scene, x), effort, seconds, tell, on_step)
-            tangled = _hits(simulation) > 0
-        if tangled:
+            again = not wrong and _hits(simulation) > 0
+        if again:
             notes.append(f"{text}: cloth passed through itself as it fell; it falls again and feels itself all the way")
             simulation, speeds = _simulate(_begun(scene, sewn), effort, seconds, tell, on_step, patience=math.inf)
         now = _lap(clock, "drape", now)

@@ -127,12 +127,16 @@ def roots(sizes):
 
 @kernel
 def slacks(x, end, share, least, bulk, slack):
-    """Into slack (V,): `least` [m], and a share of how far each vertex goes from x to end (V, 3) beside what all do.
+    """Into slack (V,): `least` [m], and a share of how far each vertex goes from x to end (V, 3), or goes beside what all do if
+    that is less: a few that are fast take the mean along.
 
     bulk (BULK,) is scratch.
     """
     bulk_of(x, bulk)
     squares_of_ways(end, x, bulk, slack)
-    roots(slack)
     for i in range(slack.shape[0]):
-        slack[i] = least + share * slack[i]
+        dx = end[i, 0] - x[i, 0]
+        dy = end[i, 1] - x[i, 1]
+        dz = end[i, 2] - x[i, 2]
+        own = dx * dx + dy * dy + dz * dz
+        slack[i] = least + share * math.sqrt(own if own < slack[i] else slack[i])

@@ -30,6 +30,9 @@ _ERRATIC = 0.5
 _LEEWAY = 0.5
 """And in thicknesses, for what contact and springs move a vertex within a substep; twice as much within four or more."""
 
+_PER_PAIR = {"quads", "kinds", "rest", "gaps", "ways", "states", "weights", "separation", "links"}
+"""Fields of `Watched` with a row for each pair; the others have one for each vertex."""
+
 
 class Candidates:
     """Pairs of primitives that may touch within a step.
@@ -62,8 +65,7 @@ class Candidates:
         self.travel: FloatArray = np.zeros((model.vertex_count, 3))
         self.slack: FloatArray = np.zeros(model.vertex_count)
         self._end: FloatArray = np.zeros((model.vertex_count, 3))
-        # the paper leaves pairs out by rules of its own
-        self.strays = None if isinstance(tree, MezgerHierarchy) else Strays(model.surface)
+        self.strays = Strays(model.surface)
         self._leeway = 0.0
         self._bulk = np.zeros(bulk.BULK)
         self._widths: FloatArray = np.zeros(model.vertex_count)
@@ -115,8 +117,7 @@ class Candidates:
         self.travel[:] = travel
         np.add(self.start, self.travel, out=self._end)
         self._leeway = _LEEWAY * min(math.sqrt(horizon), 2.0) * self._thickness
-        if self.strays is not None:
-            self.strays.begin()
+        self.strays.begin()
         bulk.slacks(self.start, self._end, _ERRATIC, self._leeway, self._bulk, self.slack)
         np.add(self.slack, 0.5 * self._thickness, out=self._widths)
         self.tree.refit(self.start, self._end, self._widths)
@@ -178,16 +179,16 @@ class Candidates:
 
     def widen(self, x: FloatArray, share: float) -> bool:
         """Gives more slack to the vertices that strayed from start + share travel to x (V, 3), and searches their pairs again;
-        False if they are too many, or pairs do not fit: then all have to be searched.
+        False if they are too many: then all pairs have to be searched.
 
         What is known of other pairs stays. Afterwards contacts have to be collected again.
         """
-        if self.flat or self.strays is None:
-            return False
         ways = Ways(self.start, self.travel, self.slack, self.model.thickness)
-        left, found = self.strays.search(x, share, ways, self._leeway, self.watched, self.count)
-        if not left <= found <= len(self.watched.quads):
+        if self.flat or not self.strays.listed(x, share, ways, self._leeway):
             return False
+        left = self.strays.drop(self.watched, self.count)
+        while (found := self.strays.search(ways, self.watched, left)) > len(self.watched.quads):
+            self.watched = grown(self.watched, int(1.3 * found), left)
         self.count = self._keep_seen(left, found)
         near_pairs.join(self.watched, left, self.count)
         return True
@@ -215,6 +216,15 @@ def watched_pairs(capacity: int, vertex_count: int) -> Watched:
         np.zeros((vertex_count, 3)),
         np.zeros(vertex_count, np.bool_),
     )
+
+
+def grown(watched: Watched, capacity: int, count: int) -> Watched:
+    """The first `count` pairs, and all that is known of them, with room for more."""
+    larger = watched_pairs(capacity, len(watched.start))
+    for name, old, new in zip(Watched._fields, watched, larger, strict=True):
+        per_pair = name in _PER_PAIR
+        new[: count if per_pair else None] = old[: count if per_pair else None]
+    return larger
 
 
 class ContactBuffers:

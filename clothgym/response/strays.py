@@ -25,7 +25,8 @@ class Strays:
     def __init__(self, surface: Surface) -> None:
         vertices, edges = surface.vertex_count, len(surface.edges)
         self.arrays, self.neighbourhood = surface.arrays, surface.neighbourhood[:2]
-        self.ids = np.zeros(min(_MOST, 1 + vertices // _MOST), np.int64)
+        self._ids = np.zeros(min(_MOST, 1 + vertices // _MOST), np.int64)
+        self.ids = self._ids[:0]
         self.space = strays.Space(
             np.zeros(vertices, np.int32),
             np.zeros((vertices, 2), np.int64),
@@ -39,22 +40,24 @@ class Strays:
         """All pairs have been searched."""
         self.times = 0
 
-    def search(
-        self, x: FloatArray, share: float, ways: strays.Ways, leeway: float, watched: Watched, count: int
-    ) -> tuple[int, int]:
-        """Pairs of the vertices that strayed from their ways to x (V, 3), at a share of them, take the place of those that they
-        have among the first `count` of `watched`; their slack grows, by `leeway` [m] beyond where they are.
-
-        Returns how many other pairs there are, and how many with the new ones: more than fit if the capacity does not suffice,
-        fewer than the others if too many vertices strayed.
-        """
+    def listed(self, x: FloatArray, share: float, ways: strays.Ways, leeway: float) -> bool:
+        """Lists the vertices that strayed from their ways to x (V, 3), at a share of them; their slack grows, by `leeway` [m]
+        beyond where they are. False if they are too many, or it was too often: nothing changes."""
         if self.times == _TIMES:
-            return count, -1
-        self.times += 1
+            return False
         more = _AGAIN * (min(1.0 / share, _FURTHER) if share > 0.0 else _FURTHER)
-        found = strays.list_strays(x, ways.x, ways.u, share, ways.slack, more, leeway, self.ids)
-        if found > len(self.ids):
-            return count, -1
-        ids = self.ids[:found]
-        left = strays.drop_pairs(ids, self.space.marks, watched, count)
-        return left, strays.pairs_around(ids, ways, self.arrays, *self.neighbourhood, self.space, watched, left)
+        found = strays.list_strays(x, ways.x, ways.u, share, ways.slack, more, leeway, self._ids)
+        if found > len(self._ids):
+            return False
+        self.times += 1
+        self.ids = self._ids[:found]
+        return True
+
+    def drop(self, watched: Watched, count: int) -> int:
+        """Takes their pairs out of the first `count`; returns how many are left."""
+        return int(strays.drop_pairs(self.ids, self.space.marks, watched, count))
+
+    def search(self, ways: strays.Ways, watched: Watched, count: int) -> int:
+        """Their pairs from place `count` on; returns how many pairs there are then, more than fit if the capacity does not
+        suffice."""
+        return int(strays.pairs_around(self.ids, ways, self.arrays, *self.neighbourhood, self.space, watched, count))

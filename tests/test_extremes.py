@@ -630,12 +630,19 @@ def test_a_free_cloth_keeps_its_momentum(integrator):
         sim.set_velocities(rng.normal(0.0, speed, (16, 3)) + rng.normal(0.0, speed, 3))
         m, scale = sim.model.masses[:, None], float(sim.model.masses.sum() * speed)
         before = (m * sim.velocities).sum(axis=0)
+        unsolved = 0.0
         try:
-            sim.step(3)
+            for _ in range(3):
+                sim.step()
+                unsolved += sim._frame.unbalanced * scene.step * m.sum()
         except cg.SimulationError:
             return
-        solved = sim.fidelity.tolerance * sim.time * m.sum() if integrator in ("implicit_euler", "global") else 0.0
-        assert np.abs((m * sim.velocities).sum(axis=0) - before).max() < 1e-9 * max(scale, 1.0) + solved
+        # an iterative solve that ends at its tolerance, or at its last iteration, leaves what it says
+        iterative = integrator in ("implicit_euler", "global")
+        assert iterative or unsolved == 0.0
+        if iterative and sim.metrics()["work"].get("unconverged", 0) == 0:
+            assert unsolved < sim.fidelity.tolerance * sim.time * m.sum()
+        assert np.abs((m * sim.velocities).sum(axis=0) - before).max() < 1e-9 * max(scale, 1.0) + 1.001 * unsolved
 
     keeps()
 

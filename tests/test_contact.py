@@ -19,6 +19,7 @@ from clothgym.kernels import contact as kernels
 from clothgym.kernels.integrate import Grips, Ground, Motion
 from clothgym.model import ClothModel
 from clothgym.response.contact import Candidates, ContactBuffers, watched_pairs
+from clothgym.response.strays import Strays
 from clothgym.stages.contact import ContactSubsteps
 
 CONTACT_ONLY = cg.Fidelity(untangling="none", substeps=4, flat_check=False)
@@ -267,7 +268,7 @@ def test_pairs_of_vertices_that_stray_are_listed_once(seed):
     x = scene.start + rng.normal(0, 0.002, scene.start.shape)
     travel = rng.normal(0, 0.002, x.shape) + np.array([0.0, 0.3, 0.0])
     candidates = Candidates(model, Hierarchy(model.surface, x))
-    candidates.watched = watched_pairs(1, len(x))
+    candidates.watched, candidates.strays = watched_pairs(1, len(x)), Strays(model.surface, 2)
     candidates.expect(x, travel)
     candidates.gather()
     before = listed(candidates)
@@ -309,6 +310,7 @@ def test_many_strays_are_left_to_a_search_of_all_pairs():
     scene = stack(2, 5)
     model = ClothModel(scene)
     candidates = Candidates(model, Hierarchy(model.surface, scene.start))
+    candidates.strays = Strays(model.surface, 2)
     for moved, times in ((list(range(20)), 0), ([3], 3)):
         candidates.expect(scene.start, np.zeros_like(scene.start))
         candidates.gather()

@@ -12,6 +12,7 @@ import clothgym as cg
 from clothgym.detection.hierarchy import Hierarchy
 from clothgym.model import ClothModel
 from clothgym.response.contact import Candidates, ContactBuffers
+from clothgym.response.strays import Strays
 
 SMALL = 16_384
 """Bytes for Python's own numbers and views; one array with a number for every vertex has more than this."""
@@ -52,6 +53,7 @@ def test_candidates_and_contacts_allocate_nothing_once_their_buffers_have_grown(
     vertices, faces = meshes.many_sheets(6, 20, 1)
     model = ClothModel(cg.Scene([cg.Cloth((vertices, faces))]))
     found = Candidates(model, Hierarchy(model.surface, vertices))
+    found.strays = Strays(model.surface, 1)
     contacts = ContactBuffers(16)
     travel = np.random.default_rng(0).normal(0.0, 0.01, vertices.shape)
     moved, apart = vertices + travel, np.zeros(len(vertices), np.bool_)

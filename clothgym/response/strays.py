@@ -9,8 +9,8 @@ from clothgym.kernels import strays
 from clothgym.kernels.near_pairs import Watched
 from clothgym.mesh import Surface
 
-_MOST = 64
-"""So many vertices, or one in as many; of more, all pairs are searched again."""
+_ONE_IN = 1024
+"""Vertices that may stray; of more, all pairs are searched again, and always on small meshes: it costs no more there."""
 
 _TIMES = 3
 """And after so many times: something happens that concerns many."""
@@ -20,12 +20,12 @@ _AGAIN, _FURTHER = 1.25, 4.0
 
 
 class Strays:
-    """Searches of the pairs of vertices that strayed, and the space for them."""
+    """Searches of the pairs of vertices that strayed, of at most so many, and the space for them."""
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: Surface, most: int | None = None) -> None:
         vertices, edges = surface.vertex_count, len(surface.edges)
         self.arrays, self.neighbourhood = surface.arrays, surface.neighbourhood[:2]
-        self._ids = np.zeros(min(_MOST, 1 + vertices // _MOST), np.int64)
+        self._ids = np.zeros(vertices // _ONE_IN if most is None else most, np.int64)
         self.ids = self._ids[:0]
         self.space = strays.Space(
             np.zeros(vertices, np.int32),

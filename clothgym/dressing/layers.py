@@ -21,13 +21,13 @@ from clothgym.rig import Limb
 from clothgym.scene import Cloth, Scene
 from clothgym.simulation import Simulation
 
-LAYER = 6e-3
+LAYER = 8e-3
 """[m] a garment starts at least this far outside of what it lies on."""
 _DEEP = 0.08
 """[m] what is deeper inside of a garment is on the other side of the body."""
 _SAME = 1e-4
 """[m] nearer than this two places are the same: no direction tells on which side one lies."""
-_ROUNDS, _SMOOTHING = 4, 3
+_ROUNDS, _SMOOTHING = 8, 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -234,9 +234,7 @@ class Enclosed:
         """(H, 3) unit normal of each hit's face, towards the outer end of its edge; 0 where nothing is cut off."""
         hits = self.hits
         normals = np.empty((hits.hit_count, 3))
-        kernels.outward_normals(
-            hits.vertices, hits.surface.edges, hits.hit_edge, hits.frames, self.inside_end, normals
-        )  # fmt: skip
+        kernels.outward_normals(hits.vertices, hits.surface.edges, hits.hit_edge, hits.frames, self.inside_end, normals)
         return normals
 
     def patch(self, region: int) -> IntArray:

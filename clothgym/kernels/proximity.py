@@ -20,7 +20,8 @@ from clothgym.kernels.primitives import (
 
 
 @inlined
-def _travel(u, i, j):
+def travel(u, i, j):
+    """How far vertices i and j are from each other in u (V, 3)."""
     dx = u[i, 0] - u[j, 0]
     dy = u[i, 1] - u[j, 1]
     dz = u[i, 2] - u[j, 2]
@@ -154,7 +155,7 @@ def face_pair(x, u, thickness, slack, v, a, b, c, found, quads, kinds, rest, gap
     returns how many pairs there are then."""
     least = min(thickness[v], thickness[a], thickness[b], thickness[c])
     reach = least + slack[v]
-    reach += max(_travel(u, v, a) + slack[a], _travel(u, v, b) + slack[b], _travel(u, v, c) + slack[c])
+    reach += max(travel(u, v, a) + slack[a], travel(u, v, b) + slack[b], travel(u, v, c) + slack[c])
     if _vertex_triangle_apart(x, v, a, b, c, reach):
         return found
     wa, wb, wc = closest_on_triangle(x, v, a, b, c)
@@ -173,8 +174,8 @@ def edge_pair(x, u, thickness, slack, a0, a1, b0, b1, found, quads, kinds, rest,
     """The same for edges (a0, a1) and (b0, b1)."""
     least = min(thickness[a0], thickness[a1], thickness[b0], thickness[b1])
     reach = least + max(
-        slack[a0] + max(_travel(u, a0, b0) + slack[b0], _travel(u, a0, b1) + slack[b1]),
-        slack[a1] + max(_travel(u, a1, b0) + slack[b0], _travel(u, a1, b1) + slack[b1]),
+        slack[a0] + max(travel(u, a0, b0) + slack[b0], travel(u, a0, b1) + slack[b1]),
+        slack[a1] + max(travel(u, a1, b0) + slack[b0], travel(u, a1, b1) + slack[b1]),
     )
     if _edges_apart(x, a0, a1, b0, b1, reach):
         return found

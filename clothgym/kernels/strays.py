@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import bare, inlined, kernel
-from clothgym.kernels.proximity import edge_pair, face_pair
+from clothgym.kernels.proximity import edge_pair, face_pair, travel
 
 
 @inlined
@@ -89,21 +89,13 @@ def drop_pairs(ids, marks, watched, count):
 
 
 @bare
-def _way(u, i, j):
-    dx = u[i, 0] - u[j, 0]
-    dy = u[i, 1] - u[j, 1]
-    dz = u[i, 2] - u[j, 2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@bare
 def _measure_edges(x, edges, longest):
     """Into longest (V,) the length of the longest edge at each vertex [m]."""
     for i in range(x.shape[0]):
         longest[i] = 0.0
     for n in range(edges.shape[0]):
         a, b = edges[n, 0], edges[n, 1]
-        length = _way(x, a, b)
+        length = travel(x, a, b)
         longest[a] = max(longest[a], length)
         longest[b] = max(longest[b], length)
 
@@ -138,12 +130,12 @@ def _list_near(s, ways, owners, longest, own, near, stamp):
     size = 0.0
     moves = slack[s]
     for n in range(own.shape[0]):
-        size = max(size, _way(x, own[n], s))
-        moves = max(moves, _way(u, own[n], s) + slack[own[n]])
+        size = max(size, travel(x, own[n], s))
+        moves = max(moves, travel(u, own[n], s) + slack[own[n]])
     around = (size + moves + ways.thickness[s]) * (1.0 + 1e-9)
     found = 0
     for j in range(x.shape[0]):
-        if owners[j] >= 0 and _way(x, j, s) <= around + longest[j] + _way(u, j, s) + slack[j]:
+        if owners[j] >= 0 and travel(x, j, s) <= around + longest[j] + travel(u, j, s) + slack[j]:
             near[found, 0] = j
             near[j, 1] = stamp
             found += 1

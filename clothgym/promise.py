@@ -69,16 +69,16 @@ def effort(model: ClothModel, fidelity: Fidelity) -> tuple[int, int]:
         single = max(single, fidelity.contact_substeps * fidelity.sweeps ** (0.5 * _GAIN))
     if scene.self_collision and not scene.bodies:
         single = max(single, impact_substeps(model, stretch))
-    return _bounded(math.ceil(single), MOST_SUBSTEPS, "substeps", stretch), 1
+    return _bounded(math.ceil(single), stretch), 1
 
 
-def _bounded(count: int, most: int, name: str, stretch: float) -> int:
-    if count > most:
+def _bounded(substeps: int, stretch: float) -> int:
+    if substeps > MOST_SUBSTEPS:
         raise ValueError(
-            f"fidelity.stretch_error = {stretch:g}: takes {count:.3g} {name} in this scene, more than {most}; allow more "
-            "stretch, give the substeps, or take shorter steps of the scene"
+            f"fidelity.stretch_error = {stretch:g}: takes {substeps:.3g} substeps in this scene, more than {MOST_SUBSTEPS}; "
+            "allow more stretch, give the substeps, or take shorter steps of the scene"
         )
-    return count
+    return substeps
 
 
 def substeps_for(model: ClothModel, stretch: float, motion: float = MOTION) -> int:
@@ -120,7 +120,7 @@ def impact_substeps(model: ClothModel, stretch: float) -> float:
 
 def substeps_at_rest(model: ClothModel, stretch: float) -> int:
     """Substeps of one sweep in a step, for an excess stretch of cloth that hardly moves: what comes to rest on a body."""
-    return _bounded(math.ceil(model.scene.step / _longest(model, stretch, 1.0)), MOST_SUBSTEPS, "substeps", stretch)
+    return _bounded(math.ceil(model.scene.step / _longest(model, stretch, 1.0)), stretch)
 
 
 def _longest(model: ClothModel, stretch: float, motion: float) -> float:

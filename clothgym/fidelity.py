@@ -96,8 +96,7 @@ class Fidelity:
         substeps: parts of a step; 0 = as many as the safe time step of an explicit integrator, or the promise of XPBD,
             asks for; implicit integrators: 2.
         sweeps: Gauss-Seidel sweeps over springs and contacts a substep. With substeps = 0 XPBD takes substeps of one sweep,
-            with contact between cloths as many as hold stretch as well as contact_substeps of so many sweeps; with bodies
-            it is the least number of sweeps.
+            in contact at least as many as hold stretch as well as contact_substeps of so many sweeps.
         stretch_error: the promise of XPBD, where substeps = 0: no spring between neighbours gets longer than in the
             converged solution of the same material by more than this share of its length (see `promise`).
         contact_substeps: the least of XPBD in scenes with contact, where substeps = 0; see sweeps.

@@ -101,7 +101,7 @@ def test_environments_count_flags(env):
     env.reset(seed=5)
     *_, info = env.step(np.zeros(env.action_space.shape))
     assert info["degraded"] == 0 and type(info["degraded"]) is int
-    env.simulation.set_velocities(np.tile([0.0, 40.0, 0.0], (env.simulation.model.vertex_count, 1)))
+    env.simulation.set_velocities(np.tile([0.0, 400.0, 0.0], (env.simulation.model.vertex_count, 1)))
     assert env._info(False)["degraded"] == len(env.simulation.flags()) == 1
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
+import trimesh
 
 import clothgym as cg
 from clothgym import promise
@@ -29,6 +31,17 @@ def hanging(n: int, held="two corners", quads=True, stretch=1e4, density=0.15, s
     shape = cg.Mesh(start, mesh.faces, mesh.quads) if quads else (start, mesh.faces)
     cloth = cg.Cloth(shape, material, HELD[held](n), mesh.vertices, equal_masses=True)
     return cg.Scene([cloth], **({"self_collision": False} | scene))
+
+
+def on_ball(cells: int) -> cg.Scene:
+    """A sheet of 0.8 m that falls on a ball of 0.25 m radius; cloth does not touch cloth."""
+    mesh = cg.grid(0.8, 0.8, cells, cells).transformed(translation=(0.0, 0.27, 0.0))
+    start = mesh.vertices.copy()
+    start[:, 1] += 1e-3 / cells * np.random.default_rng(0).uniform(-1.0, 1.0, len(start))
+    material = cg.Material(density=0.15, stretch=1e4, shear=5e3, flexion=1e-2, thickness=4e-3)
+    cloth = cg.Cloth(cg.Mesh(start, mesh.faces, mesh.quads), material, (), mesh.vertices)
+    ball = cg.Body(trimesh.creation.icosphere(subdivisions=3, radius=0.25), name="ball")
+    return cg.Scene([cloth], bodies=[ball], self_collision=False)
 
 
 def ladder(rungs: int, stiffness: float, **scene) -> cg.Scene:
@@ -158,13 +171,17 @@ def test_contact_between_cloths_takes_substeps_of_one_sweep():
     assert stage(touching, kept).endswith("[xpbd 4x2]")
 
 
-def test_sweeps_with_bodies():
-    scene = cg.scenes.make("tape")
+def test_cloth_on_bodies_takes_substeps_of_one_sweep():
+    """As many as its motion over a body asks for, and no fewer than contact does."""
+    scene = on_ball(12)
+    model = ClothModel(scene)
     for preset in ("draft", "balanced"):
         fidelity = cg.Fidelity.preset(preset)
-        sim = cg.Simulation(scene, fidelity)
-        assert sim.pipeline.substeps >= fidelity.contact_substeps
-        assert sim.pipeline.stages[-1].step.sweeps >= fidelity.sweeps
+        pulled = promise.substeps_for(model, fidelity.stretch_error, promise.MOTION_IN_CONTACT)
+        assert f"[xpbd {pulled}x1 for" in stage(scene, preset)
+        light = dataclasses.replace(scene, gravity=(0.0, -0.01, 0.0))
+        least = math.ceil(fidelity.contact_substeps * fidelity.sweeps**0.45)
+        assert f"[xpbd {least}x1 for" in stage(light, preset)
 
 
 @pytest.mark.parametrize(("preset", "effort"), [("draft", "8x1"), ("balanced", "21x1")])
@@ -182,6 +199,9 @@ def test_a_fall_to_the_ground_takes_substeps():
     once = needed(ground=-1.0)
     assert needed(ground=-4.0) == pytest.approx(2.0 * once, rel=2e-3)
     assert needed(ground=-1.0, cells=16) == pytest.approx(2.0 * once, rel=2e-3)
+    assert needed(ground=-1.0, cells=32) == pytest.approx(4.0 * 2.0**0.35 * once, rel=2e-3), (
+        "a finer corner carries more"
+    )
     assert needed(ground=-1.0, stretch=0.01) == pytest.approx(10**0.65 * once)
     assert needed() == needed(ground=-1.0, pins=(0,)) == needed(ground=0.5) == 0.0
     assert needed(ground=-100.0) == needed(ground=-200.0) > needed(ground=-10.0), "drag ends every fall's acceleration"
@@ -276,3 +296,16 @@ def test_a_sheet_that_crumples_keeps_the_promise(preset):
     converged, _ = peak(cg.Simulation(scene, cg.Fidelity(substeps=100, sweeps=1)), 70)
     assert converged < 0.02
     assert most - converged < cg.Fidelity.preset(preset).stretch_error
+
+
+@pytest.mark.parametrize("preset", ["draft", "balanced"])
+def test_a_sheet_on_a_ball_keeps_the_promise(preset):
+    """It is pulled taut over the ball by its sides, which slide down: the peak is a third of a second after the touch."""
+    scene = on_ball(16)
+    most, _ = peak(cg.Simulation(scene, preset), 24)
+    converged, _ = peak(cg.Simulation(scene, cg.Fidelity(substeps=320, sweeps=1)), 24)
+    assert converged < 0.03
+    assert most - converged < cg.Fidelity.preset(preset).stretch_error
+    kept = cg.Simulation(scene, preset)
+    spared = dataclasses.replace(kept.fidelity, substeps=kept.pipeline.substeps // 4, sweeps=1)
+    assert peak(cg.Simulation(scene, spared), 24)[0] - converged > kept.fidelity.stretch_error

@@ -66,6 +66,7 @@ class BodyContact(NamedTuple):
         NDArray  # (V, 7) sums of what faces ask for, see `_push`: corrections, their weights, the surface's velocities
     )
     forces: NDArray  # (V, 3) force of the body on each vertex, summed over the substeps of a step [N]
+    squeeze: NDArray  # (V, 4) corrections along normals and their lengths, summed over the substeps of a step [m]
 
 
 @bare
@@ -433,6 +434,8 @@ def answer_velocities(v, inverse_masses, contact, dt):
             normal = contact.normal[i, c]
             v[i, c] = surface + slide * (before - surface - speed * normal) + leaving * normal
             contact.forces[i, c] += mass * (contact.moved[i, c] / dt + v[i, c] - before) / dt
+            contact.squeeze[i, c] += contact.moved[i, c] - contact.dragged[i, c]
+        contact.squeeze[i, 3] += contact.pressed[i]
 
 
 @kernel

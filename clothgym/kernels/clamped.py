@@ -145,17 +145,14 @@ def settle_clamped(p, contacts, count, push, clamped):
 
 
 @kernel
-def between_bodies(contact, least, clamped):
-    """Marks vertices, clamped (V,), that bodies have pushed to and fro by more than `least` [m] within a substep; returns
-    how many were not marked before. contact: `body_contact.BodyContact` after the sweeps."""
+def between_bodies(squeeze, least, clamped):
+    """Marks vertices, clamped (V,), that bodies have pushed to and fro by more than `least` [m] within a step; returns how
+    many were not marked before. squeeze (V, 4): see `body_contact.BodyContact`; one substep may feel one side only."""
     found = 0
-    for v in range(contact.pressed.shape[0]):
+    for v in range(squeeze.shape[0]):
         if clamped[v]:
             continue
-        x = contact.moved[v, 0] - contact.dragged[v, 0]
-        y = contact.moved[v, 1] - contact.dragged[v, 1]
-        z = contact.moved[v, 2] - contact.dragged[v, 2]
-        clamped[v] = contact.pressed[v] > least and _is_balanced(x, y, z, contact.pressed[v])
+        clamped[v] = squeeze[v, 3] > least and _is_balanced(squeeze[v, 0], squeeze[v, 1], squeeze[v, 2], squeeze[v, 3])
         found += clamped[v]
     return found
 

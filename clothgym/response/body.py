@@ -37,7 +37,7 @@ _STRETCHED, _ACROSS = 2, 4
 """Room for points of faces: so many times what covers the cloth at rest, and so many more on each face."""
 
 _CLAMPED = 0.1
-"""Share of the tolerance by which bodies must push a vertex within a substep before it can count as clamped."""
+"""Share of the tolerance by which bodies must push a vertex within a step before it can count as clamped."""
 
 
 def face_points(parts: int) -> FloatArray:
@@ -86,6 +86,7 @@ def body_contact(
         carried=np.zeros((vertex_count, 3)),
         pushes=np.zeros((vertex_count, 7)),
         forces=np.zeros((vertex_count, 3)),
+        squeeze=np.zeros((vertex_count, 4)),
     )
 
 
@@ -165,6 +166,7 @@ class BodyResponse:
             self._move(frame)
         self._contact.clock[0] = self.step
         self._contact.forces[:] = 0.0
+        self._contact.squeeze[:] = 0.0
         self._contact.found_at[:] = np.inf  # a step does not depend on what was before it
         frame.body_forces = self._contact.forces
         return self._contact
@@ -188,5 +190,5 @@ class BodyResponse:
         return np.stack([x.min(axis=0) - room, x.max(axis=0) + room])
 
     def clamped(self, marks: BoolArray) -> int:
-        """How many vertices the bodies press from opposite sides at the end of a step, of those not in marks (V,) yet."""
-        return between_bodies(self._contact, _CLAMPED * self._contact.tolerance, marks)
+        """How many vertices the bodies have pressed from opposite sides in this step, of those not in marks (V,) yet."""
+        return between_bodies(self._contact.squeeze, _CLAMPED * self._contact.tolerance, marks)

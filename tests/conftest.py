@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from command_cases import commands, say  # noqa: F401
+from fake_benchmark import bench, fake, plugin  # noqa: F401
 
 
 @pytest.fixture

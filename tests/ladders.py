@@ -7,6 +7,7 @@ import numpy as np
 import clothgym as cg
 from clothgym.kernels.integrate import Grips
 
+G = 9.81
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """(x, y, z) -> (x, z, -y): the sheet's z becomes height."""
 

@@ -1,122 +1,23 @@
-"""The frame of the benchmarks: rows survive kills, are never repeated or lost, and become tables and a page."""
+"""The frame of the benchmarks: rows survive kills and are never repeated or lost, and failures become rows."""
 
 from __future__ import annotations
 
-import base64
 import json
-import math
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from fake_benchmark import ROOT, child, lines_of
 
 from clothgym import cli
-from clothgym.benchmarks import Benchmark, Case, Page, Table, frame, machine, report
-
-ROOT = Path(__file__).resolve().parents[1]
-
-FAKE = '''
-"""A benchmark that costs nothing; the environment slows it down or breaks it."""
-
-import os
-import sys
-import time
-from pathlib import Path
-
-import numpy as np
-
-from clothgym.benchmarks import Benchmark, Case, Table
-
-prepared = []
-
-
-def cases(quick):
-    return [Case(f"n{n}", {"n": n, "seed": 100 + n}) for n in range(3 if quick else 6)]
-
-
-def prepare():
-    prepared.append(os.getpid())
-
-
-def run(parameters):
-    n = parameters["n"]
-    sys.stdout.write("noise on standard output\\n")  # one write: two workers' lines cannot mix
-    time.sleep(float(os.environ.get("FAKE_SLEEP", "0")))
-    if os.environ.get("FAKE_FAIL") == str(n):
-        raise ValueError(f"n = {n} cannot be\\nand a second line")
-    if os.environ.get("FAKE_DIE") == str(n):
-        os._exit(9)
-    draw = np.random.default_rng(parameters["seed"]).random()
-    return {"square": np.float64(n * n), "draw": draw, "deep": {"root": n ** 0.5}, "even": np.bool_(n % 2 == 0),
-            "path": np.arange(2), "undefined": float("nan"), "threads": os.environ.get("NUMBA_NUM_THREADS"),
-            "prepared": len(prepared)}
-
-
-def tables(rows):
-    cells = [(row["parameters"]["n"], row["result"]["square"]) for row in rows]
-    return [Table("Squares of <n>", ("n", "square [m]"), cells, "a & b")]
-
-
-def plots(rows, folder):
-    from clothgym.benchmarks.machine import pyplot
-
-    plt = pyplot()
-    figure, axes = plt.subplots(figsize=(3, 2))
-    axes.plot([row["parameters"]["n"] for row in rows], [row["result"]["square"] for row in rows])
-    path = Path(folder) / "fake_squares.png"
-    figure.savefig(path)
-    plt.close(figure)
-    return [path]
-
-
-benchmark = Benchmark("fake", "Fake & <title>", cases, run, tables, plots, prepare, "The paper says <b>nothing</b>.")
-other = Benchmark("other", "Another", cases, run, tables)
-'''
-
-
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with the module and its registered entry points, importable here and in child processes."""
-    folder = tmp_path_factory.mktemp("plugin")
-    (folder / "fake_bench_plugin.py").write_text(FAKE)
-    info = folder / "fake_bench_plugin-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: fake_bench_plugin\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[clothgym.commands]\nbench = clothgym.commands.bench:register\n"
-        "[clothgym.benchmarks]\nfake = fake_bench_plugin:benchmark\nother = fake_bench_plugin:other\n"
-    )
-    sys.path.insert(0, str(folder))
-    yield folder
-    sys.path.remove(str(folder))
-
-
-@pytest.fixture
-def fake(plugin: Path) -> Benchmark:
-    return frame.load("fake")
-
-
-def child(plugin: Path, *words: str, **environment: str) -> subprocess.Popen[str]:
-    """`clothgym` in a process group of its own."""
-    paths = os.pathsep.join([str(plugin), str(ROOT)])
-    return subprocess.Popen(
-        [sys.executable, "-m", "clothgym", *words],
-        env={**os.environ, "PYTHONPATH": paths, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+from clothgym.benchmarks import Benchmark, Case, frame, machine
 
 
 def wait_for_rows(path: Path, count: int) -> None:
@@ -125,10 +26,6 @@ def wait_for_rows(path: Path, count: int) -> None:
     while not (path.exists() and path.read_bytes().count(b"\n") >= count):
         assert time.monotonic() < deadline, "no rows"
         time.sleep(0.01)
-
-
-def lines_of(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def same_numbers(row: dict) -> tuple:
@@ -429,172 +326,3 @@ def test_the_extras_are_those_of_the_package() -> None:
             module = re.match(r"[A-Za-z0-9_-]+", package).group().replace("-", "_").removesuffix("_sdk")  # type: ignore[union-attr]
             assert module in core or machine.MODULE_EXTRAS[module] == extra
     assert set(machine.MODULE_EXTRAS.values()) <= set(extras)
-
-
-# Page and tables
-
-
-def test_the_page_is_whole_and_escaped(fake: Benchmark, tmp_path: Path) -> None:
-    outcome = frame.run_benchmark(fake, tmp_path, quick=True)
-    text = outcome.page.read_text()
-    assert outcome.page == tmp_path / "fake.html"
-    assert "<title>Fake &amp; &lt;title&gt;</title>" in text
-    assert "The paper says &lt;b&gt;nothing&lt;/b&gt;." in text
-    assert "Squares of &lt;n&gt;" in text
-    assert "<b>" not in text
-    assert '<td class="number">4</td>' in text
-    (picture,) = re.findall(r'<img alt="fake squares" src="data:image/png;base64,([^"]+)">', text)
-    assert base64.b64decode(picture) == (tmp_path / "fake_squares.png").read_bytes()
-    assert "prefers-color-scheme: dark" in text
-    assert np.__version__ in text  # where the numbers come from
-    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:)|url\(|@import|<script|https?://""", text)
-
-
-def test_page_takes_pictures_of_every_kind(tmp_path: Path) -> None:
-    pixels = np.zeros((4, 6, 3), np.uint8)
-    pixels[:, 3:] = 255
-    page = Page("pictures").add_heading("a < b").add_image(pixels, "both <halves>")
-    picture = base64.b64decode(re.findall(r'base64,([^"]+)"', page.to_html())[0])
-    (tmp_path / "p.png").write_bytes(picture)
-    page.add_image(tmp_path / "p.png").add_image(picture).add_gallery([(picture, "x"), (pixels, "y")])
-    text = page.write(tmp_path / "deep" / "page.html").read_text()
-    assert text.count("<img ") == 5
-    assert "both &lt;halves&gt;" in text
-    assert "<h2>a &lt; b</h2>" in text
-    with pytest.raises(ValueError, match="not a PNG"):
-        page.add_image(b"GIF89a")
-    with pytest.raises(ValueError, match="expected uint8 pixels"):
-        page.add_image(np.zeros((4, 4)))
-    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["page.html"]
-
-
-def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    target = tmp_path / "page.html"
-    target.write_text("old")
-
-    def full(descriptor: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        report.write_atomically(target, b"new")
-    assert target.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_tables_refuse_ragged_rows_and_values_read_well() -> None:
-    with pytest.raises(ValueError, match="row 1 has 1 cells, expected 2"):
-        Table("t", ("a", "b"), [(1, 2), (3,)])
-    shown = [report.format_value(v) for v in (None, True, 3, 0.0, 1234.56, 0.0123456, 2e-7, 3e9, math.inf, [1, 2.5])]
-    assert shown == ["-", "yes", "3", "0", "1235", "0.01235", "2.000e-07", "3.000e+09", "inf", "1, 2.5"]
-
-
-def test_json_is_strict() -> None:
-    assert json.loads(report.to_json_text({"a": [math.inf, -math.inf, math.nan, np.float32(0.5)]})) == {
-        "a": [None, None, None, 0.5]
-    }
-    with pytest.raises(TypeError, match="set has no JSON form"):
-        report.to_json_text({"a": {1}})
-
-
-# The command
-
-
-@pytest.fixture
-def bench(plugin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command line with `bench` alone, in this process, and the two fake benchmarks."""
-    command = {"bench": EntryPoint("bench", "clothgym.commands.bench:register", cli.ENTRY_POINTS)}
-    monkeypatch.setattr(cli, "entry_points", lambda: command)
-    entries = {n: EntryPoint(n, f"fake_bench_plugin:{a}", "") for n, a in (("fake", "benchmark"), ("other", "other"))}
-    monkeypatch.setattr(frame, "entry_points", lambda: entries)
-
-
-def test_json_is_pure_even_with_noisy_workers(plugin: Path, tmp_path: Path) -> None:
-    process = child(plugin, "bench", "fake", "--quick", "--jobs", "2", "--json", "--out", str(tmp_path))
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    document = json.loads(out)
-    assert [row["key"] for row in document["rows"]] == [f"fake/quick/n{n}" for n in range(3)]
-    assert document["errors"] == 0
-    assert document["tables"][0]["rows"][2] == [2, 4.0]
-    assert Path(document["page"]).exists()
-    assert "noise" in err
-
-
-@pytest.mark.usefixtures("bench")
-def test_bench_prints_tables_and_exit_codes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert cli.main(["bench", "fake", "--quick", "--out", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
-    assert "Squares of <n>" in out
-    assert "square [m]" in out
-    assert cli.main(["bench", "all", "--quick", "--json", "--out", str(tmp_path)]) == 0
-    assert [d["benchmark"] for d in json.loads(capsys.readouterr().out)["benchmarks"]] == ["fake", "other"]
-    monkeypatch.setenv("FAKE_FAIL", "2")
-    assert cli.main(["bench", "other", "--quick", "--json", "--out", str(tmp_path)]) == 1
-    document = json.loads(capsys.readouterr().out)
-    assert document["errors"] == 1
-    assert cli.main(["bench", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"benchmarks": {"fake": "Fake & <title>", "other": "Another"}}
-
-
-@pytest.mark.usefixtures("bench")
-def test_compare_pairs_keys_and_takes_medians(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    a, b = tmp_path / "a" / "fake.jsonl", tmp_path / "b" / "fake.jsonl"
-    for path in (a, b):
-        frame.run_benchmark(frame.load("fake"), path.parent)
-    rows = lines_of(b)
-    for row, factor in zip(rows, (1, 1, 2, 3, 4, 5)):
-        row["result"]["square"] *= factor
-    b.write_text("".join(json.dumps(row) + "\n" for row in rows[:5]))  # key n5 is missing in b
-    assert cli.main(["bench", "compare", str(a), str(b), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    cells = {(cell["key"], cell["quantity"]): cell for cell in document["keys"]}
-    third = cells["fake/full/n3", "square"]
-    assert (third["a"], third["b"], third["ratio"]) == (9.0, 27.0, 3.0)
-    assert cells["fake/full/n0", "square"]["ratio"] is None  # nothing to divide by
-    assert cells["fake/full/n4", "deep.root"]["ratio"] == 1.0
-    assert document["a"]["only"] == ["fake/full/n5"]
-    medians = {cell["quantity"]: cell for cell in document["medians"]}
-    assert medians["square"]["keys"] == 5
-    assert medians["square"]["a"] == 4.0
-    assert medians["square"]["b"] == 8.0
-    assert medians["square"]["ratio"] == 2.5
-    assert medians["case seconds"]["a"] > 0.0
-    assert "path" not in medians
-    assert cli.main(["bench", "compare", str(a), str(b)]) == 0
-    assert "fake: median over keys" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("bench")
-def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("fake", "other"):
-        frame.run_benchmark(frame.load(name), tmp_path, quick=True)
-    (tmp_path / "full").mkdir()
-    frame.run_benchmark(frame.load("fake"), tmp_path / "full")
-    (tmp_path / "text.jsonl").write_text("hello\nworld\n")
-    (tmp_path / "empty.jsonl").write_text("")
-    fake, other, full = (str(tmp_path / n) for n in ("fake.jsonl", "other.jsonl", "full/fake.jsonl"))
-    out = ["--out", str(tmp_path)]
-    for words, complaint in (
-        (["bench", "nope"], "benchmark = 'nope': expected one of fake, other, all"),
-        (["bench", "fake", "--jobs", "0", *out], "jobs = 0: out of range [1, 1024]"),
-        (["bench", "fake", "--jobs", "many", *out], "Invalid value for '--jobs'"),
-        (["bench", "fake", "--backend", "dask", *out], "backend = 'dask': expected one of loky, ray"),
-        (["bench", "fake", "--resume", *out], f"{fake}: key = 'fake/quick/n0' is a quick row"),
-        (["bench", "fake", "--out", fake], f"--out = '{fake}': not a folder"),
-        (["bench", "compare", fake], "bench compare: expected two files of rows, got 1"),
-        (["bench", "compare", fake, other], "different benchmarks"),
-        (["bench", "compare", fake, full], "no key in common"),
-        (["bench", "compare", fake, str(tmp_path / "no.jsonl")], f"{tmp_path}/no.jsonl: no such file"),
-        (["bench", "compare", fake, str(tmp_path / "text.jsonl")], "text.jsonl: line 1 is no JSON"),
-        (["bench", "compare", fake, str(tmp_path / "empty.jsonl")], "empty.jsonl: holds no finished row"),
-    ):
-        capsys.readouterr()
-        assert cli.main(words) == cli.BAD_INPUT, words
-        said = capsys.readouterr()
-        assert said.out == ""
-        (line,) = said.err.splitlines()
-        assert line.startswith("clothgym bench: ")
-        assert complaint in line

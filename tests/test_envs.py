@@ -1,33 +1,23 @@
-"""Every environment: the interface, reproducibility, failures that never pay, success that cannot be cheated."""
+"""Both environments: the interface, actions, reproducibility, reward and end, pictures."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
-import functools
-import itertools
 import math
 import pickle
-import subprocess
-import sys
 import warnings
 
-import clothgym_envs
 import gymnasium as gym
 import numpy as np
 import pytest
-from clothgym_envs import policies, untangle_layers
+from clothgym_envs import policies
 from clothgym_envs.base import SPEED_CAP, STRAIN_CAP, TRAIN_SEEDS, ClothEnv
+from env_cases import IDS, LAYERS, LEVELS, RING, SMALL, bits, id_of, in_contact, play, random_actions, shared
 from gymnasium.utils.env_checker import check_env
 
 import clothgym as cg
 
-IDS = tuple(clothgym_envs.ENVIRONMENTS)
-LEVELS = ("easy", "medium", "hard")
-LAYERS = "clothgym/UntangleLayers-v0"
-RING = "clothgym/DressRing-v0"
-SMALL = {LAYERS: {"vertices": 7}, RING: {}}
-"""What makes an environment quick to make."""
 NEARLY = {LAYERS: ("pull_apart", "clean_steps", 3, 7), RING: ("axis", "dressed_steps", 3, 2)}
 """A policy that succeeds, the counter of good steps on end, how many are reached, and how many are missing then."""
 ALWAYS = {
@@ -42,10 +32,6 @@ ALWAYS = {
 }
 
 
-def id_of(env: ClothEnv) -> str:
-    return next(i for i in IDS if clothgym_envs.ENVIRONMENTS[i].endswith(f":{type(env).__name__}"))
-
-
 def kinds_of(env_id: str) -> list[str]:
     """The kinds of observation that a task offers."""
     offered = []
@@ -58,24 +44,11 @@ def kinds_of(env_id: str) -> list[str]:
 
 
 CASES = [(env_id, level, obs) for env_id in IDS for level in LEVELS for obs in kinds_of(env_id)]
-_made: dict[tuple[str, ...], ClothEnv] = {}
-
-
-def shared(env_id: str, level: str = "easy", obs: str = "state") -> ClothEnv:
-    """One environment for all tests that leave nothing behind but an episode."""
-    if (env_id, level, obs) not in _made:
-        _made[env_id, level, obs] = gym.make(env_id, level=level, obs=obs).unwrapped
-    return _made[env_id, level, obs]
 
 
 @pytest.fixture(params=IDS)
 def env(request) -> ClothEnv:
     return shared(request.param)
-
-
-@pytest.fixture
-def layers() -> ClothEnv:
-    return shared(LAYERS)
 
 
 @pytest.fixture(scope="session", params=IDS)
@@ -89,46 +62,9 @@ def idle(request) -> tuple[ClothEnv, list[tuple]]:
             return env, answers
 
 
-def random_actions(env: ClothEnv, count: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1.0, 1.0, (count, *env.action_space.shape)).astype(np.float32)
-
-
-def play(env: ClothEnv, actions: np.ndarray) -> list[tuple]:
-    """Everything that can be told about each step, to the bit."""
-    told = []
-    for action in actions:
-        observation, reward, terminated, truncated, info = env.step(action)
-        told.append(
-            (observation.tobytes(), reward.hex(), terminated, truncated, bits(info), env.simulation.state_hash())
-        )
-    return told
-
-
-def bits(info: dict) -> dict:
-    return {name: value.hex() if isinstance(value, float) else value for name, value in info.items()}
-
-
 def begin(env: ClothEnv, seed: int) -> tuple:
     observation, info = env.reset(seed=seed)
     return observation.tobytes(), bits(info), env.simulation.state_hash()
-
-
-def in_contact(env: ClothEnv, seed: int = 5) -> None:
-    """An episode under way: grippers hold cloth, sheets touch each other or the limb."""
-    env.reset(seed=seed)
-    actions = random_actions(env, 8, seed)
-    if id_of(env) == LAYERS:
-        actions[:, 1::4] = -1.0  # down to the cloth, and closed
-        actions[:, 3::4] = 1.0
-    elif id_of(env) == RING:
-        policy = policies.get(RING, "straight")
-        policy.reset(env)
-        for _ in range(30):
-            if np.abs(env.simulation.body_forces).max() > 0.0:
-                break
-            play(env, [policy.act(None, {})])
-        actions *= 0.1
-    play(env, actions)
 
 
 # the interface
@@ -216,30 +152,6 @@ def test_names_cover_the_observation(env):
         assert field.scale > 0.0
         assert isinstance(field.unit, str)
     assert (covered == 1).all()
-
-
-def test_named_values_are_true(layers):
-    in_contact(layers, seed=4)  # lengths above twice the first one are cut off
-    observation, _, _, _, info = layers.step(np.full(8, 0.1, np.float32))
-    sim = layers.simulation
-
-    def seen(name: str) -> np.ndarray:
-        field = layers.obs_layout[name]
-        return observation[field.slice].astype(float) * field.scale
-
-    for g in range(2):
-        assert seen(f"gripper_{g}/position") == pytest.approx(sim.grip_positions[g], abs=1e-6)
-        assert seen(f"gripper_{g}/force") == pytest.approx(sim.grip_forces[g], abs=1e-6), "up to the slip force"
-        assert seen(f"gripper_{g}/holding")[0] == float(len(sim.held(g)) > 0)
-    assert seen("gripper_0/velocity") == pytest.approx([0.025, 0.025, 0.025], abs=1e-6)
-    assert seen("length")[0] == pytest.approx(sim.last_intersections.length / layers._start_length, rel=1e-5)
-    assert seen("max_strain")[0] == pytest.approx(info["max_strain"], abs=1e-6)
-    middle = sim.positions[layers._ranges[1]].mean(axis=0)
-    assert seen("centroids")[3:6] == pytest.approx(middle, abs=1e-6)
-    assert seen("time_left")[0] == pytest.approx(1.0 - 9 / layers.horizon)
-    assert seen("contour_0/length")[0] == pytest.approx(
-        layers.longest_contours()[0]["length"] / layers._start_length, rel=1e-5
-    )
 
 
 # actions
@@ -472,135 +384,6 @@ def test_a_real_divergence_is_a_failure(env):
     assert reward < -15.0
 
 
-# UntangleLayers: what counts
-
-
-def settled(env: ClothEnv, positions: np.ndarray, steps: int, monkeypatch=None) -> dict:
-    """Puts the cloth somewhere and waits; with monkeypatch nothing moves meanwhile."""
-    env.simulation.set_positions(positions)
-    if monkeypatch is not None:
-        monkeypatch.setattr(env, "_act", lambda action: None)
-    for _ in range(steps):
-        _, _, terminated, _, info = env.step(np.zeros(8))
-        if terminated:
-            break
-    return info
-
-
-def test_the_clean_stack_is_a_success(layers):
-    layers.reset(seed=1)
-    info = settled(layers, layers._clean, 12)
-    assert info["is_success"]
-    assert info["progress"] == 1.0
-    assert info["clean_steps"] == 10
-    assert info["reward/success"] == 5.0
-
-
-def test_the_wrong_order_is_no_success(layers):
-    layers.reset(seed=1)
-    swapped = layers._clean.copy()
-    swapped[layers._ranges[0], 1] += 0.03  # the lower sheet is on top now
-    swapped[layers._ranges[1], 1] -= 0.01
-    info = settled(layers, swapped, 14)
-    assert info["hits"] == 0
-    assert info["clean_steps"] == 14
-    assert info["side_error"] > 0.5
-    assert not info["is_success"]
-    assert info["progress"] < 0.5
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-6, 0.3, 1.3])
-def test_a_crushed_or_stretched_sheet_is_no_success(layers, size, monkeypatch):
-    layers.reset(seed=1)
-    positions, sheet = layers._clean.copy(), layers._ranges[1]
-    middle = positions[sheet].mean(axis=0)
-    positions[sheet] = middle + [0.0, 0.05, 0.0] + size * (positions[sheet] - middle)
-    info = settled(layers, positions, 14, monkeypatch)
-    assert info["hits"] == 0
-    assert info["side_error"] == 0.0
-    assert not info["is_success"]
-    assert info["clean_steps"] == 0
-
-
-def test_a_pinched_contour_is_no_success(layers, monkeypatch):
-    _, start = layers.reset(seed=1)
-    hits = layers.simulation.last_intersections
-    around = np.unique(
-        np.concatenate([hits.surface.edges[hits.hit_edge].ravel(), hits.surface.faces[hits.hit_face].ravel()])
-    )
-    positions = np.array(layers.simulation.positions)
-    positions[around] = positions[around].mean(axis=0) + 1e-4 * (positions[around] - positions[around].mean(axis=0))
-    info = settled(layers, positions, 14, monkeypatch)
-    assert info["contour_length"] < 1e-3 * start["contour_length"], "the length alone can be pinched away"
-    assert not info["is_success"]
-
-
-def test_doing_nothing_untangles_nothing(layers):
-    for seed in range(20_000, 20_010):
-        _, start = layers.reset(seed=seed)
-        for _ in range(15):
-            _, _, terminated, _, info = layers.step(np.zeros(8))
-            assert not terminated
-            assert info["hits"] > 0
-        assert info["contour_length"] > 0.7 * start["contour_length"]
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_every_start_is_tangled_and_known(level):
-    env = shared(LAYERS, level)
-    for seed in range(4):
-        _, info = env.reset(seed=seed)
-        assert info["contour_length"] > 2.0 * env.edge
-        assert info["side_error"] > 0.01
-        assert not info["is_success"]
-        assert cg.intersections(env._clean, env.simulation.faces).hit_count == 0
-        assert env._start_length == pytest.approx(info["contour_length"])
-
-
-def test_wrong_vertices_are_those_that_went_through(layers):
-    layers.reset(seed=1)
-    below, above = layers.wrong_vertices(0, 1)
-    first, second = layers._ranges
-    assert ((below >= first.start) & (below < first.stop)).all()
-    assert ((above >= second.start) & (above < second.stop)).all()
-    moved = np.abs(np.array(layers.simulation.positions) - layers._clean)[:, 1]
-    assert moved[above].min() > 0.1 * moved.max(), "none of them was left where it was"
-    assert len(above) > 3
-
-
-def test_a_gripper_reads_the_weight_it_carries(layers, monkeypatch):
-    monkeypatch.setattr(untangle_layers, "CLEAN_STEPS", 1000)  # the episode goes on
-    layers.reset(seed=1)
-    sim, sheet = layers.simulation, layers._ranges[1]
-    positions = layers._clean.copy()
-    positions[sheet, 1] += 0.45
-    sim.set_positions(positions)
-    centre = sheet.start + 7 * 15 + 7
-    sim.place_grip(0, positions[centre])
-    action = np.array([0, 0, 0, 1, 0, 0, 0, -1], float)
-    read = []
-    for _ in range(95):
-        observation, _, terminated, truncated, info = layers.step(action)
-        assert not (terminated or truncated)
-        field = layers.obs_layout["gripper_0/force"]
-        read.append(observation[field.slice] * field.scale)
-    assert sim.positions[sheet, 1].min() > 0.05, "it hangs free"
-    weight = 9.81 * sim.model.masses[sheet].sum()
-    mean = np.mean(read[-20:], axis=0)
-    assert mean[1] == pytest.approx(weight, rel=0.01)
-    assert np.abs(mean[[0, 2]]).max() < 0.01 * weight
-    assert info["force_max"] == pytest.approx(weight, rel=0.02)
-
-
-def test_grippers_stay_in_their_workspace(layers):
-    layers.reset(seed=1)
-    for _ in range(6):
-        layers.step(np.array([0, -1, 0, -1, 0, -1, 0, -1]))
-    for _ in range(6):
-        layers.step(np.array([0, -1, 0, -1, 0, -1, 0, -1]))
-    assert layers.gripper_positions[:, 1] == pytest.approx([0.004, 0.004])
-
-
 # pictures
 
 
@@ -637,86 +420,3 @@ def test_pictures_need_a_mode(env):
 def test_frames_a_second_follow_from_the_control_period(env):
     assert env.metadata["render_fps"] == round(1.0 / env.control_period)
     assert "human" not in env.metadata["render_modes"]
-
-
-# other processes
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_a_child_makes_it_without_the_import(tmp_path, env_id):
-    code = (
-        "import gymnasium, sys\n"
-        f"env = gymnasium.make('clothgym_envs:{env_id}', **{SMALL[env_id]})\n"
-        "env.reset(seed=3)\n"
-        "print(env.unwrapped.simulation.state_hash())\n"
-        "assert 'stable_baselines3' not in sys.modules and 'rerun' not in sys.modules\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 0, done.stderr
-    here = gym.make(env_id, **SMALL[env_id])
-    here.reset(seed=3)
-    assert done.stdout.strip() == here.unwrapped.simulation.state_hash()
-
-
-def reference_run(env_id: str, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Observations and rewards (steps, environments, ...) of single environments."""
-    observations, rewards = [], []
-    for number, seed in enumerate(seeds):
-        env = gym.make(env_id, **SMALL[env_id])
-        env.reset(seed=seed)
-        told = [env.step(action) for action in actions[:, number]]
-        observations.append([t[0] for t in told])
-        rewards.append([t[1] for t in told])
-    return np.swapaxes(observations, 0, 1), np.swapaxes(rewards, 0, 1)
-
-
-def make_small(env_id: str) -> gym.Env:
-    return gym.make(f"clothgym_envs:{env_id}", **SMALL[env_id])
-
-
-@pytest.fixture
-def importable(monkeypatch):
-    """Spawned children import this file by its name."""
-    import os
-
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_gymnasium_vectors_in_spawned_processes(importable, env_id):
-    actions = np.array([random_actions(shared(env_id), 2, seed) for seed in range(3)])
-    vector = gym.vector.AsyncVectorEnv([functools.partial(make_small, env_id)] * 2, context="spawn")
-    try:
-        vector.reset(seed=[5, 6])
-        told = [vector.step(action) for action in actions]
-    finally:
-        vector.close()
-    observations, rewards = reference_run(env_id, [5, 6], actions)
-    assert (np.array([t[0] for t in told]) == observations).all()
-    assert (np.array([t[1] for t in told]) == rewards).all()
-    assert all("max_strain" in t[4] for t in told)
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_stable_baselines_vectors_in_spawned_processes(importable, env_id):
-    vectors = pytest.importorskip("stable_baselines3.common.vec_env")
-    actions = np.array([random_actions(shared(env_id), 2, seed) for seed in range(3)])
-    vector = vectors.SubprocVecEnv([functools.partial(make_small, env_id)] * 2, start_method="spawn")
-    try:
-        vector.seed(9)
-        vector.reset()
-        told = [vector.step(action) for action in actions]
-    finally:
-        vector.close()
-    observations, rewards = reference_run(env_id, [9, 10], actions)
-    assert (np.array([t[0] for t in told]) == observations).all()
-    assert (np.array([t[1] for t in told]) == rewards).all()
-
-
-def test_ids_are_registered_once():
-    for env_id, entry in clothgym_envs.ENVIRONMENTS.items():
-        assert gym.spec(env_id).entry_point == entry
-        assert env_id.startswith("clothgym/")
-        assert gym.spec(env_id).max_episode_steps is None, "truncation is inside"
-    for one, two in itertools.pairwise(sorted(clothgym_envs.ENVIRONMENTS)):
-        assert one != two

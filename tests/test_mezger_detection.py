@@ -13,6 +13,7 @@ import pytest
 
 import clothgym as cg
 from clothgym.detection import judge
+from clothgym.detection.brute_force import BruteForce
 from clothgym.detection.dop_tree import DopTree
 from clothgym.detection.mezger import MezgerHierarchy, laid_out, pattern_corners
 from clothgym.kernels import dop_pairs
@@ -160,6 +161,38 @@ def test_complete_settings_are_judged_to_miss_nothing(name):
         sim.step(3)
         assert (watched.missed, watched.missed_hits) == (0, 0)
         assert watched.near > 100 and watched.hits > 10
+
+
+def test_judges_share_what_is_tried_and_count_the_same(monkeypatch):
+    chosen = {"swept": {}, "octree": {"arity": 8}, "unoriented": {"inflation": "unoriented"}}
+    alone, tried = {}, []
+    search = BruteForce.search
+    monkeypatch.setattr(
+        BruteForce, "search", lambda self, near, hits: (tried.append(hits), search(self, near, hits))[1]
+    )
+    for name, settings in chosen.items():
+        sim = fluttering()(**settings)
+        watched = judge.watch(sim)
+        sim.step(2)
+        alone[name] = (watched.missed, watched.near, watched.missed_hits, watched.hits), sim.state_hash()
+    assert alone["swept"] == alone["octree"] and alone["swept"][0] != alone["unoriented"][0]
+    one_each = len(tried)
+    tried.clear()
+    sims = {name: fluttering()(**settings) for name, settings in chosen.items()}
+    model = sims["swept"].model
+    truth = judge.Truth(model.surface, model.vertex_count, keep=True)
+    watching = {}
+    for name, sim in sims.items():
+        candidates = sim.pipeline.stages[-1].candidates
+        candidates.tree = watching[name] = judge.Judge(candidates.tree, truth)
+    for _ in range(2):
+        for sim in sims.values():
+            sim.step()
+        truth.forget()
+    for name, watched in watching.items():
+        counted = watched.missed, watched.near, watched.missed_hits, watched.hits
+        assert (counted, sims[name].state_hash()) == alone[name], name
+    assert 0 < len(tried) <= one_each * 2 / 3, "what two runs have in common is tried twice"
 
 
 def test_a_judge_needs_a_detector():

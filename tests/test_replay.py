@@ -6,131 +6,23 @@ import json
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from clothgym_envs import commands, recorder
+from clothgym_envs import recorder
 from clothgym_envs.recorder import RerunRecorder, read_episode, replay
+from tiny_env import ID, TinyEnv, TinySimulation, registered  # noqa: F401  for every test here
 
-from clothgym import cli
 from clothgym.errors import SimulationError
 from clothgym.fidelity import Fidelity
 from clothgym.recording.episode import Episode, as_json, decode_array, encode_array, engine_digest, from_json_values
-from clothgym.recording.rerun_log import RerunLog
 from clothgym.recording.rerun_read import read_recording
 
 pytest.importorskip("rerun")
-
-SIDE = 5
-
-
-class TinySimulation:
-    """A hanging net of springs: chaotic enough that one wrong bit shows after a few steps."""
-
-    stiffness = 400.0
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        u, v = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE), indexing="ij")
-        i = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
-        lower = np.stack([i[:-1, :-1], i[:-1, 1:], i[1:, 1:]], axis=-1).reshape(-1, 3)
-        upper = np.stack([i[:-1, :-1], i[1:, 1:], i[1:, :-1]], axis=-1).reshape(-1, 3)
-        self.faces = np.concatenate([lower, upper])
-        self.edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]]])
-        self._x = np.stack([u.ravel(), 0.01 * rng.normal(size=u.size), v.ravel()], axis=1)
-        self.rest = np.linalg.norm(self._x[self.edges[:, 0]] - self._x[self.edges[:, 1]], axis=1)
-        self._v = np.zeros_like(self._x)
-        self.time = 0.0
-        self.cloth_ranges = [("net", slice(0, SIDE * SIDE), slice(0, len(self.faces)))]
-        self.scene = SimpleNamespace(ground=-1.0)
-
-    @property
-    def positions(self) -> np.ndarray:
-        view = self._x.view()
-        view.flags.writeable = False
-        return view
-
-    @property
-    def body_meshes(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
-        return [("ball", np.eye(3) * 0.1 + self.time, np.array([[0, 1, 2]]))]
-
-    @property
-    def last_intersections(self) -> Any:
-        count = round(self.time * 20) % 3
-        return SimpleNamespace(segments=np.zeros((count, 2, 3)), contour=np.arange(count), points=np.ones((count, 3)))
-
-    def state_hash(self) -> str:
-        import hashlib
-
-        return hashlib.sha256(self._x.tobytes() + self._v.tobytes()).hexdigest()[:16]
-
-    def step(self, push: np.ndarray) -> None:
-        for _ in range(4):
-            span = self._x[self.edges[:, 1]] - self._x[self.edges[:, 0]]
-            length = np.linalg.norm(span, axis=1)
-            pull = (self.stiffness * (length - self.rest) / length)[:, None] * span
-            force = np.zeros_like(self._x)
-            np.add.at(force, self.edges[:, 0], pull)
-            np.add.at(force, self.edges[:, 1], -pull)
-            self._v = 0.999 * (self._v + 0.005 * (force + np.array([0.0, -9.81, 0.0])))
-            self._v[0] = push
-            self._x = self._x + 0.005 * self._v
-        self.time += 0.02
-
-
-class TinyEnv(gym.Env[np.ndarray, Any]):
-    """The contract that RerunRecorder relies on, and nothing more."""
-
-    def __init__(self, level: str = "easy", fidelity: Any = "draft", discrete: bool = False, hook: Any = None) -> None:
-        if level not in ("easy", "hard"):
-            raise ValueError(f"level = {level!r}: expected easy or hard")
-        self.level, self.discrete = level, discrete
-        self.fidelity = fidelity if isinstance(fidelity, Fidelity) else Fidelity.preset(fidelity)
-        self.observation_space = gym.spaces.Box(-10, 10, (3,), np.float32)
-        self.action_space = gym.spaces.Discrete(5) if discrete else gym.spaces.Box(-1, 1, (3,), np.float32)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        super().reset(seed=seed)
-        self.episode_seed = int(self.np_random.integers(10_000)) if seed is None else seed
-        rng = np.random.default_rng(self.episode_seed)
-        self.simulation = TinySimulation(rng)
-        self.mass = 1.0 + (options or {}).get("variation", {}).get("mass", rng.random())
-        return self._observe(), self._info(0.0)
-
-    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict]:
-        numbers = np.asarray(action, dtype=np.float64)
-        if np.isnan(numbers).any():
-            raise ValueError("action holds a NaN")
-        push = np.array([numbers - 2.0, 0, 0]) if self.discrete else 0.25 * numbers
-        if np.all(push == 0.25):
-            raise SimulationError("integrate", "speed", self.simulation.time, "less speed")
-        self.simulation.step(push / self.mass)
-        lowest = float(self.simulation.positions[:, 1].min())
-        return self._observe(), lowest, lowest < -0.9, False, self._info(lowest)
-
-    @property
-    def gripper_positions(self) -> np.ndarray:
-        return self.simulation.positions[:1]
-
-    def _observe(self) -> np.ndarray:
-        return self.simulation.positions[-1].astype(np.float32)
-
-    def _info(self, lowest: float) -> dict[str, Any]:
-        return {"is_success": False, "contour_length": 0.0, "reward/depth": lowest, "episode_seed": self.episode_seed}
-
-
-ID = "clothgym/TinyNet-v7"
-
-
-@pytest.fixture(autouse=True)
-def _registered() -> Iterator[None]:
-    gym.register(ID, entry_point=TinyEnv, max_episode_steps=30)
-    yield
-    gym.registry.pop(ID)
 
 
 def play(env: gym.Env[Any, Any], steps: int = 12, seed: int | None = 5, options: Any = None) -> list[Any]:
@@ -494,132 +386,6 @@ def test_values_that_json_can_hold() -> None:
             as_json(bad, "options")
     array = np.array([[1.5, -0.0]], np.float32)
     assert decode_array(encode_array(array)).tobytes() == array.tobytes()
-
-
-# ---- the command line ----
-
-
-class RandomPolicy:
-    def reset(self, env: gym.Env[Any, Any]) -> None:
-        self.rng = np.random.default_rng(3)
-
-    def act(self, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        return self.rng.uniform(-0.9, 0.9, 3).astype(np.float32)
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Runs a command line as `clothgym` would: exit code, standard output, standard error."""
-
-    entries = {
-        "record": SimpleNamespace(load=lambda: commands.register_record),
-        "replay": SimpleNamespace(load=lambda: commands.register_replay),
-    }
-    monkeypatch.setattr(cli, "entry_points", lambda: entries)
-
-    def maker(env_id: str, name: str) -> Any:
-        if name != "random":
-            raise ValueError(f"policy = {name!r}: expected random")
-        return RandomPolicy
-
-    monkeypatch.setattr("clothgym_envs.evaluation.policy_maker", maker)
-
-    def call(*words: Any) -> tuple[int, str, str]:
-        code = cli.main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
-
-
-def test_record_and_replay_from_the_command_line(tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "deep" / "ep.rrd"
-    code, out, err = run("record", "TinyNet-v7", "--policy", "random", "--seed", 20_000, path, "--json")
-    assert (code, err) == (0, "")
-    document = json.loads(out)
-    steps = document["steps"]
-    assert (document["env_id"], document["ended"]) == (ID, "terminated")
-    assert 15 < steps < 30
-    assert document["episode_seed"] == 20_000
-    code, out, err = run("replay", path, "--json")
-    assert (code, err) == (0, "")
-    assert json.loads(out)["actions"] == steps
-    assert json.loads(out)["return"] == document["return"]
-    code, out, _ = run("replay", path, "--verify", "--json")
-    assert code == 0
-    assert json.loads(out)["verify"] == {
-        "equal": True,
-        "first_difference": None,
-        "steps": steps,
-        "differing_versions": {},
-        "fidelity_differs": False,
-    }
-    code, out, _ = run("replay", path, "--verify")
-    assert code == 0
-    assert "equal, bit for bit" in out
-    monkeypatch.setattr(TinySimulation, "stiffness", 400.0001)
-    code, out, _ = run("replay", path, "--verify", "--json")
-    assert code == 1
-    difference = json.loads(out)["verify"]["first_difference"]
-    assert (difference["step"], difference["what"]) == (1, "state_hash")
-
-
-def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, run: Any) -> None:
-    (tmp_path / "text.rrd").write_text("hello")
-    with RerunLog(tmp_path / "scene.rrd") as log:
-        log.open([("sheet", [[0, 1, 2]], None)])
-        log.log_step(0, 0.0, np.eye(3))
-    out = tmp_path / "o.rrd"
-    for words, message in (
-        (("replay", tmp_path / "none.rrd"), "no such file"),
-        (("replay", tmp_path / "text.rrd", "--verify"), "not a rerun recording"),
-        (("replay", tmp_path / "scene.rrd", "--verify"), "holds no episode"),
-        (("record", "TinyNat-v7", out), "did you mean clothgym/TinyNet-v7"),
-        (("record", ID, out, "--policy", "genius"), "policy = 'genius'"),
-        (("record", ID, out, "--policy", "random", "--level", "nightmare"), "level = 'nightmare'"),
-        (("record", ID, tmp_path / "o.mp4", "--policy", "random"), "must end in .rrd"),
-        (("record", ID, tmp_path / "{episode}.rrd", "--policy", "random"), "braces"),
-    ):
-        code, stdout, stderr = run(*words)
-        assert (code, stdout) == (2, ""), (words, stderr)
-        assert message in stderr
-        assert stderr.count("\n") == 1
-        assert "Traceback" not in stderr
-    assert run("replay", tmp_path / "scene.rrd")[0] == 0, "a recording without an episode can be looked at"
-
-
-def test_ctrl_c_while_recording_keeps_the_finished_steps(
-    tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    act = RandomPolicy.act
-
-    def interrupted(self: RandomPolicy, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        if info["reward/depth"] != 0.0:
-            raise KeyboardInterrupt
-        return act(self, observation, info)
-
-    monkeypatch.setattr(RandomPolicy, "act", interrupted)
-    code, out, err = run("record", ID, tmp_path / "a.rrd", "--policy", "random")
-    assert (code, out) == (130, "")
-    assert "1 steps are in" in err
-    assert len(read_episode(tmp_path / "a.rrd")[0]) == 1
-
-
-def test_viewing_needs_no_simulation_and_stays_on_the_loopback(
-    tmp_path: Path, run: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run("record", ID, tmp_path / "a.rrd", "--policy", "random", "--steps", 3)
-    called: list[list[str]] = []
-
-    def viewer(command: list[str], **_: Any) -> SimpleNamespace:
-        called.append(command)
-        return SimpleNamespace(returncode=0)
-
-    real = subprocess.run
-    monkeypatch.setattr(subprocess, "run", lambda c, **k: viewer(c) if "--bind" in c else real(c, **k))
-    assert run("replay", tmp_path / "a.rrd", "--view")[0] == 0
-    assert str(tmp_path / "a.rrd") in called[0]
-    assert called[0][called[0].index("--bind") + 1] == "127.0.0.1"
 
 
 def test_the_recorder_module_imports_no_rerun() -> None:

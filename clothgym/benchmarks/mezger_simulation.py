@@ -10,7 +10,7 @@ from typing import Any
 import clothgym as cg
 from clothgym.benchmarks.frame import Row
 from clothgym.benchmarks.report import Table
-from clothgym.detection import judge
+from clothgym.detection.judge import Judge, Truth
 
 _MEZGER = {"detection": "mezger"}
 _PLAIN = {**_MEZGER, "cones": "none"}
@@ -44,19 +44,24 @@ _COUNTS = ("refits", "box_tests", "leaf_pairs", "cone_pruned", "box_pairs", "pri
 
 
 def simulated(scene: str, steps: int, every: int) -> dict[str, Any]:
-    """All techniques in simulations of their own, side by side; misses in every n-th step of a second run.
+    """All techniques in simulations of their own, side by side; misses in every n-th step, which is not timed.
 
     Returns rows of medians and means a step, in processor time, which other programs hardly disturb: `update` of the hierarchy
     and collision `test`, both together `detection`, and `step` [s]; counts, pairs missed (`missed` of `near`, `missed_hits` of
     `hits`), and whether the last state is that of "plain" to the last bit (those that miss nothing, clusters sorted).
     """
     made = cg.scenes.make(scene)
-    runs = {name: _Run(cg.Simulation(made, _fidelity(settings))) for name, settings in TECHNIQUES.items()}
+    simulations = {name: cg.Simulation(made, _fidelity(settings)) for name, settings in TECHNIQUES.items()}
+    model = simulations["plain"].model
+    # trying all pairs takes longest, and most techniques share their states
+    truth = Truth(model.surface, model.vertex_count, keep=True)
+    runs = {name: _Run(simulation, truth) for name, simulation in simulations.items()}
     names = list(runs)
     for number in range(steps):
         turn = number % len(names)  # no configuration always comes after the same other
         for name in names[turn:] + names[:turn]:
-            runs[name].step()
+            runs[name].step(judged=number % every == 0)
+        truth.forget()
     rows = {}
     last = runs["plain"].simulation.state_hash()
     for name, run in runs.items():
@@ -66,7 +71,10 @@ def simulated(scene: str, steps: int, every: int) -> dict[str, Any]:
             **{key: work.get(key, 0) / steps for key in _COUNTS},
             "same_bits": run.simulation.state_hash() == last,
             "complete": name in COMPLETE,
-            **_judged(made, TECHNIQUES[name], steps, every),
+            "missed": run.judge.missed,
+            "near": run.judge.near,
+            "missed_hits": run.judge.missed_hits,
+            "hits": run.judge.hits,
         }
     return {"steps": steps, "faces": len(runs["plain"].simulation.faces), "rows": rows}
 
@@ -102,21 +110,25 @@ class _Timed:
 
 
 class _Run:
-    """A simulation that is timed step by step."""
+    """A simulation whose steps are timed or judged."""
 
-    def __init__(self, simulation: cg.Simulation) -> None:
+    def __init__(self, simulation: cg.Simulation, truth: Truth) -> None:
         self.simulation = simulation
-        candidates = simulation.pipeline.stages[-1].candidates  # type: ignore[attr-defined]
-        self.tree = candidates.tree = _Timed(candidates.tree)
+        self._candidates = simulation.pipeline.stages[-1].candidates  # type: ignore[attr-defined]
+        self.tree = _Timed(self._candidates.tree)
+        self.judge = Judge(self.tree, truth)
         self.seconds: list[tuple[float, float, float]] = []
+        self._judged: list[tuple[float, float, float]] = []
 
-    def step(self) -> None:
+    def step(self, judged: bool) -> None:
+        self._candidates.tree = self.judge if judged else self.tree
         update, test, started = self.tree.update, self.tree.test, time.process_time()
         self.simulation.step()
-        self.seconds.append((self.tree.update - update, self.tree.test - test, time.process_time() - started))
+        times = self.tree.update - update, self.tree.test - test, time.process_time() - started
+        (self._judged if judged else self.seconds).append(times)
 
     def medians(self) -> dict[str, float]:
-        seconds = self.seconds[1:] or self.seconds  # the first step grows the buffers
+        seconds = self.seconds or self._judged
         update, test, step = (statistics.median(column) for column in zip(*seconds))
         return {
             "update": update, "test": test, "detection": statistics.median(s[0] + s[1] for s in seconds), "step": step,
@@ -125,18 +137,6 @@ class _Run:
 
 def _fidelity(settings: dict[str, Any]) -> cg.Fidelity:
     return dataclasses.replace(cg.Fidelity.preset("draft"), flat_check=False, **settings)
-
-
-def _judged(scene: cg.Scene, settings: dict[str, Any], steps: int, every: int) -> dict[str, int]:
-    simulation = cg.Simulation(scene, _fidelity(settings))
-    watched = judge.watch(simulation)
-    candidates = simulation.pipeline.stages[-1].candidates  # type: ignore[attr-defined]
-    for number in range(steps):
-        candidates.tree = watched if number % every == 0 else watched.tree
-        simulation.step()
-    return {
-        "missed": watched.missed, "near": watched.near, "missed_hits": watched.missed_hits, "hits": watched.hits,
-    }  # fmt: skip
 
 
 def simulated_tables(row: Row) -> list[Table]:

@@ -186,6 +186,7 @@ def _contact() -> None:
         _steps(crossing, dataclasses.replace(cg.Fidelity.preset("draft"), contacts_near_hits=near_hits))
     euler = dataclasses.replace(cg.Fidelity.preset("draft"), integrator="symplectic_euler", substeps=0)
     _steps(crossing, euler, 1)
+    _strays(scene)
     flat = cg.grid(0.4, 0.4, 4, 4)
     walls = [flat.vertices + np.array([0.0, 0.001 * n, 0.0]) for n in range(3)]
     pins = [range(len(flat.vertices)), (), range(len(flat.vertices))]
@@ -196,6 +197,21 @@ def _contact() -> None:
     sheet = dataclasses.replace(cg.scenes.make("hanging_sheet", resolution=6), self_collision=True)
     for fidelity in ("draft", euler):
         _steps(sheet, fidelity, 1)
+
+
+def _strays(scene: Any) -> None:
+    """A vertex that strays from its way, which so small a mesh does not look for by itself."""
+    import clothgym as cg
+    from clothgym.response.strays import Strays
+
+    simulation = cg.Simulation(scene, "draft")
+    candidates = simulation.pipeline.stages[-1].candidates  # type: ignore[attr-defined]
+    candidates.strays = Strays(simulation.model.surface, 1)
+    x = scene.start.copy()
+    candidates.expect(x, np.zeros_like(x))
+    candidates.gather()
+    x[0, 0] += 1.01 * candidates.slack[0]
+    candidates.widen(x, 1.0)
 
 
 def _wind_and_grips() -> None:

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 from clothgym.arrays import FloatArray, as_points
 from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
-from clothgym.detection.openings import Threading, expected_limb, threading
+from clothgym.detection.openings import LEGS, Threading, expectation, expected_limb, members, threading
+from clothgym.dressing.cut import read
 from clothgym.garment import Garment
 from clothgym.rig import Limb
 
@@ -21,10 +22,20 @@ _AROUND, _MOST_AROUND = 0.01, 200
 
 
 def expected_limbs(garment: Garment, body: Body) -> list[str]:
-    """The limb that each opening is placed around; "body" for a body without a skeleton."""
+    """What belongs through each opening: the limb that it is placed around; "body" for a body without a skeleton.
+
+    Where that would leave a limb without its own way out, or give it two, the cut of the garment tells.
+    """
     if not body.limbs:
         return ["body"] * len(garment.openings)
-    return [expected_limb(garment.vertices[loop], body.limbs) for loop in garment.openings]
+    nearest = [expected_limb(garment.vertices[loop], body.limbs) for loop in garment.openings]
+    if set(nearest) == {LEGS} and len(nearest) == 2 or len(set(nearest)) == 1 and nearest[0] != LEGS:
+        return nearest  # a skirt; a cuff, a scarf
+    through = [name for opening in nearest for name in members(opening)]
+    if sorted(through) == sorted(limb.name for limb in body.limbs):
+        return nearest
+    told = read(garment).limbs()
+    return nearest if told is None else [expectation(limbs) for limbs in told]
 
 
 def carried_limbs(body: Body, vertices: ArrayLike) -> tuple[Limb, ...]:

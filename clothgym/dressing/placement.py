@@ -17,12 +17,13 @@ from clothgym.arrays import FloatArray
 from clothgym.body import Body
 from clothgym.detection.body_mesh import still
 from clothgym.detection.openings import nearest_on
+from clothgym.dressing import sleeves
 from clothgym.dressing.cut import Cut, read
 from clothgym.dressing.sewing import opening_lengths
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
 from clothgym.rig import Limb, girth, heights_above, section_hull
-from clothgym.sizes import Arm, Sizes, sizes
+from clothgym.sizes import Sizes, sizes
 
 _SHOULDER_CLEARANCE = 0.02
 """[m] shoulder seams stand this far above the shoulders: lower, they start inside the body."""
@@ -39,6 +40,8 @@ _ROUND = 2.0 * math.pi * 4e-3
 """[m] cloth lies 4 mm from the skin: so much longer it is than a girth."""
 _HIPS = 0.05
 """Share of the height around the widest place of the hips."""
+_REACH = 1.5
+"""Of the way from the middle to a shoulder joint: panels whose middle is further out are sleeves."""
 _COARSE = 0.03
 """[m] edges of the garment that the fit is found with."""
 _PUSH_ROUNDS = 30
@@ -49,8 +52,8 @@ _BELOW_CROTCH, _BELOW_ARMPITS = 0.015, 0.01
 _BODICE, _SHORTEST_BODICE, _NARROWER, _RISE = 0.45, 0.05, 0.94, 0.01
 """[m], [m]: the waist of such a bodice is looked for to this depth, and is that far below its top at least; its share of the
 width at the top is less than the third, where widths that rise by the fourth end the search."""
-_NECK = 0.75
-"""A tube whose openings are smaller than this share of the waist is for the neck."""
+_NECK, _LOW = 0.85, 0.25
+"""A tube with an opening smaller than the first share of the waist, and lower than the second of its hem, is for the neck."""
 _BESIDE_SHOULDERS = 0.02
 _TRUNK_SHARE = 0.125
 """Half the width of a person's trunk is less than this share of the height."""
@@ -90,7 +93,7 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     garment = assemble(pattern, _COARSE)
     cut = read(garment)
     hangs = len(cut.shoulders) == 0 and bool(cut.around)
-    ratios = _ratios(pattern, body, s, math.inf if not hangs else _rim(garment, cut))
+    ratios = _ratios(pattern, body, s, *_whole(garment, cut))
     if len(cut.shoulders) and cut.crotch is not None:
         trunk = s.shoulder_height + _SHOULDER_CLEARANCE - s.crotch_height
         rise = float(garment.vertices[cut.shoulders, 1].mean() - cut.crotch[1])
@@ -117,36 +120,39 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     return 1.0, ""
 
 
-def _ratios(pattern: Pattern, body: Body, s: Sizes, top: float) -> dict[str, float]:
-    """Width of the garment through that of the body at bust, waist and hips, as far as the garment is whole there: below
-    its top [m]."""
-    reach = 1.5 * s.shoulder_half
+def _ratios(pattern: Pattern, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
+    """Width of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m]."""
     ratios = {}
-    levels: list[tuple[str, Sequence[float], float]] = [
+    levels: list[tuple[str, list[float], float]] = [
         ("bust", np.linspace(s.waist_height, s.bust_height, 9).tolist(), s.bust_girth),  # armholes reach below the bust
         ("waist", [s.waist_height], s.waist_girth),
     ]
     for name, heights, girth_there in levels:
-        width = max(_flat_girth(pattern, y, s.centre, reach) for y in heights) if heights[-1] <= top else 0.0
+        whole = heights[-1] <= top
+        width = max((_flat_girth(pattern, y, s) for y in heights if whole and y >= low), default=0.0)
         if width > 0.0:
             ratios[name] = width / (girth_there + _ROUND)
     # seams across the hips, and panels that stand apart there, make the width jump: the tightest counts
     trunk = _trunk_faces(body)
     around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
-    hips = [
-        (_flat_girth(pattern, float(y), s.centre, reach), girth(body.mesh.vertices, trunk, float(y)))
-        for y in around
-        if y <= top
+    found = [
+        _flat_girth(pattern, y, s) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
+        for y in around.tolist()
+        if low <= y <= top
     ]
-    found = [width / (there + _ROUND) for width, there in hips if width > 0.0]
-    if found:
+    if found := [ratio for ratio in found if ratio > 0.0]:
         ratios["hips"] = min(found)
     return ratios
 
 
-def _rim(garment: Garment, cut: Cut) -> float:
-    """The lowest height of the top opening [m]."""
-    return float(garment.vertices[garment.openings[cut.around[0]], 1].min())
+def _whole(garment: Garment, cut: Cut) -> tuple[float, float]:
+    """Heights between which a garment goes all around the trunk [m]: above its hem, and below its top if that is not at the
+    neck."""
+    if not cut.around:
+        return math.inf, -math.inf
+    rings = [garment.vertices[garment.openings[n]][:, 1] for n in cut.around]
+    low = float(rings[-1].max()) if len(rings) > 1 else float(garment.vertices[:, 1].min()) + _COARSE
+    return low, math.inf if len(cut.shoulders) else float(rings[0].min())
 
 
 def _widest(body: Body, s: Sizes, trunk: np.ndarray, top: float) -> float:
@@ -156,20 +162,27 @@ def _widest(body: Body, s: Sizes, trunk: np.ndarray, top: float) -> float:
     return max(girth(body.mesh.vertices, trunk, y) for y in np.linspace(low, top, 9).tolist())
 
 
-def _flat_girth(pattern: Pattern, height: float, centre: float, reach: float) -> float:
-    """Width of all panels together at a height [m], without those that are further out than the reach: sleeves."""
+def _flat_girth(pattern: Pattern, height: float, s: Sizes) -> float:
+    """Width of all panels together at a height [m], without sleeves: those above the crotch whose middle is beside the
+    trunk."""
     total = 0.0
     for panel in pattern.panels:
         points = panel.placed(panel.outline(_COARSE))
-        if abs(points[:, 0].mean() - centre) > reach:
+        x, y, _ = points.mean(axis=0)
+        if abs(x - s.centre) > _REACH * s.shoulder_half and y > s.crotch_height:
             continue
-        after = np.roll(points, -1, axis=0)
-        cut = (points[:, 1] > height) != (after[:, 1] > height)
-        share = (height - points[cut, 1]) / (after[cut, 1] - points[cut, 1])
-        line = points[cut] + share[:, None] * (after[cut] - points[cut])
-        line = line[np.argsort(line[:, 0])]
-        total += float(np.linalg.norm(line[1::2] - line[0 : 2 * len(line[1::2]) : 2], axis=1).sum())
+        total += _width(points, height)
     return total
+
+
+def _width(points: FloatArray, height: float) -> float:
+    """Width at a height of a panel with an outline (N, 3) [m]."""
+    after = np.roll(points, -1, axis=0)
+    cut = (points[:, 1] > height) != (after[:, 1] > height)
+    share = (height - points[cut, 1]) / (after[cut, 1] - points[cut, 1])
+    line = points[cut] + share[:, None] * (after[cut] - points[cut])
+    line = line[np.argsort(line[:, 0])]
+    return float(np.linalg.norm(line[1::2] - line[0 : 2 * len(line[1::2]) : 2], axis=1).sum())
 
 
 # Moving
@@ -188,7 +201,12 @@ def _moved(pattern: Pattern, body: Body) -> tuple[Pattern, tuple[str, ...]]:
         move, what = _to_shoulders(garment, cut, body), "shoulders"
     else:
         move, what = _to_waist(pattern, garment, cut, body), "waist"
-    return pattern.moved(move), (f"fit: placement moved by {_mm(move)} mm to the {what} of {body.name}",)
+    moved, notes = pattern.moved(move), (f"fit: placement moved by {_mm(move)} mm to the {what} of {body.name}",)
+    if limb is not None or not cut.arms:
+        return moved, notes
+    there = garment.moved((float(move[0]), float(move[1]), float(move[2])))
+    turned, said = sleeves.turned(moved, there, read(there), _arms(body))
+    return turned, (*notes, *said)
 
 
 def _mm(vector: FloatArray) -> str:
@@ -198,22 +216,30 @@ def _mm(vector: FloatArray) -> str:
 def _own_limb(garment: Garment, cut: Cut, body: Body) -> Limb | None:
     """The limb of a tube for one arm, one leg or the neck: the one that its openings are nearest to."""
     limbs = {limb.name: limb for limb in body.limbs}
-    s = _sizes(body)
-    if not limbs and s is not None:
-        limbs = {f"{side}_arm": _arm_path(side, arm) for side, arm in (("left", s.left_arm), ("right", s.right_arm))}
     if not cut.around:
-        return nearest_limb(garment, [limb for limb in limbs.values() if limb.name != "head"])
-    alone = len(cut.around) == len(garment.openings) == 2
-    if alone and s is not None and "head" in limbs and max(opening_lengths(garment)) < _NECK * s.waist_girth:
-        return limbs["head"]
-    return None
+        arms = list(_arms(body).values())
+        return _nearest_limb(garment, [limb for limb in body.limbs if limb.name.endswith("leg")] + arms)
+    s = _sizes(body)
+    if s is None or "head" not in limbs or not len(cut.around) == len(garment.openings) == 2:
+        return None
+    lengths = opening_lengths(garment)
+    tall = abs(float(np.diff([garment.vertices[loop][:, 1].mean() for loop in garment.openings])[0]))
+    return limbs["head"] if min(lengths) < _NECK * s.waist_girth and tall < _LOW * max(lengths) else None
 
 
-def _arm_path(side: str, arm: Arm) -> Limb:
-    return Limb(f"{side}_arm", np.stack([arm.shoulder, arm.elbow, arm.wrist]), 0)
+def _arms(body: Body) -> dict[str, Limb]:
+    """Paths of the arms by side: of the body's limbs, or from its sizes; none of a body that has neither."""
+    limbs = {limb.name: limb for limb in body.limbs}
+    if "left_arm" in limbs and "right_arm" in limbs:
+        return {side: limbs[f"{side}_arm"] for side in ("left", "right")}
+    s = _sizes(body)
+    if s is None:
+        return {}
+    pairs = (("left", s.left_arm), ("right", s.right_arm))
+    return {side: Limb(f"{side}_arm", np.stack([arm.shoulder, arm.elbow, arm.wrist]), 0) for side, arm in pairs}
 
 
-def nearest_limb(garment: Garment, limbs: Sequence[Limb]) -> Limb | None:
+def _nearest_limb(garment: Garment, limbs: Sequence[Limb]) -> Limb | None:
     """The limb that the openings together are nearest to."""
     rings = np.array([garment.vertices[loop].mean(axis=0) for loop in garment.openings])
 
@@ -277,7 +303,7 @@ def _to_waist(pattern: Pattern, garment: Garment, cut: Cut, body: Body) -> Float
     at = int(below.max()) if len(below) else 0 if opening > girths.max() else waist
     rim, s = float(ring[:, 1].mean()), _sizes(body)
     lift = heights[at] - rim
-    own_waist = _own_waist(pattern, cut, float(ring[:, 1].min()))
+    own_waist = _own_waist(pattern, float(ring[:, 1].min()))
     if own_waist is not None and s is not None:
         lift = min(s.waist_height - own_waist, s.armpit_height - _BELOW_ARMPITS - float(ring[:, 1].max()))
     elif cut.crotch is not None and s is not None:
@@ -292,11 +318,12 @@ def _to_waist(pattern: Pattern, garment: Garment, cut: Cut, body: Body) -> Float
     return np.array([target[0] - centre[0], lift, target[1] - centre[2]])
 
 
-def _own_waist(pattern: Pattern, cut: Cut, rim: float) -> float | None:
+def _own_waist(pattern: Pattern, rim: float) -> float | None:
     """Height at which a garment without shoulders is narrowest below its top, if it gets narrower there before it gets
     wider: a bodice without straps."""
     heights = rim - np.arange(_WAIST_STEP, _BODICE, _WAIST_STEP)
-    widths = np.array([_flat_girth(pattern, float(y), cut.middle, math.inf) for y in heights])
+    outlines = [panel.placed(panel.outline(_COARSE)) for panel in pattern.panels]
+    widths = np.array([sum(_width(points, float(y)) for points in outlines) for y in heights])
     rises = np.flatnonzero(widths > (1.0 + _RISE) * np.minimum.accumulate(widths))
     end = int(rises[0]) if len(rises) else len(widths)
     least = int(widths[:end].argmin())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -65,7 +67,8 @@ def carried_limbs(body: Body, vertices: ArrayLike) -> tuple[Limb, ...]:
 def threadings(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expected: list[str]) -> list[Threading]:
     """What goes through each opening at x (V, 3); for a body without a skeleton, whether any part of it does."""
     if body.limbs:
-        return [threading(x[loop], body.limbs, name) for loop, name in zip(garment.openings, expected)]
+        limbs = paths(garment, expected, body.limbs)
+        return [threading(x[loop], limbs, name) for loop, name in zip(garment.openings, expected)]
     found = []
     for loop in garment.openings:
         ring = x[loop]
@@ -74,6 +77,23 @@ def threadings(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expe
         distances, _ = maps.query(fan.reshape(-1, 3), 0.0)
         found.append(Threading("body", {"body": int(np.isfinite(distances).any())}))
     return found
+
+
+def paths(garment: Garment, expected: Sequence[str], limbs: Sequence[Limb]) -> tuple[Limb, ...]:
+    """The limbs as a garment is asked about them: under a hood, whose opening faces forward, the head looks out in front."""
+    for loop, name in zip(garment.openings, expected):
+        ring = garment.vertices[loop]
+        _, up, forward = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
+        if "head" in members(name) and abs(forward) > abs(up):
+            return tuple(_looking_out(limb) if limb.name == "head" else limb for limb in limbs)
+    return tuple(limbs)
+
+
+def _looking_out(head: Limb) -> Limb:
+    """A head's path that leaves it through the face instead of the crown."""
+    points = np.array(head.points[:-1])
+    points[-1] = 0.5 * (points[-2] + points[-1])
+    return Limb(head.name, np.vstack([points, points[-1] + (0.0, 0.0, 1.0)]), head.start)
 
 
 def slides(garment: Garment, sewn: FloatArray, x: FloatArray) -> list[float]:

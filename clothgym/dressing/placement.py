@@ -40,8 +40,6 @@ _ROUND = 2.0 * math.pi * 4e-3
 """[m] cloth lies 4 mm from the skin: so much longer it is than a girth."""
 _HIPS = 0.05
 """Share of the height around the widest place of the hips."""
-_REACH = 1.5
-"""Of the way from the middle to a shoulder joint: panels whose middle is further out are sleeves."""
 _COARSE = 0.03
 """[m] edges of the garment that the fit is found with."""
 _PUSH_ROUNDS = 30
@@ -93,7 +91,7 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     garment = assemble(pattern, _COARSE)
     cut = read(garment)
     hangs = len(cut.shoulders) == 0 and bool(cut.around)
-    ratios = _ratios(pattern, body, s, *_whole(garment, cut))
+    ratios = _ratios(_Girths(pattern, garment, cut), body, s, *_whole(garment, cut))
     if len(cut.shoulders) and cut.crotch is not None:
         trunk = s.shoulder_height + _SHOULDER_CLEARANCE - s.crotch_height
         rise = float(garment.vertices[cut.shoulders, 1].mean() - cut.crotch[1])
@@ -120,8 +118,8 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     return 1.0, ""
 
 
-def _ratios(pattern: Pattern, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
-    """Width of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m]."""
+def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
+    """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m]."""
     ratios = {}
     levels: list[tuple[str, list[float], float]] = [
         ("bust", np.linspace(s.waist_height, s.bust_height, 9).tolist(), s.bust_girth),  # armholes reach below the bust
@@ -129,14 +127,14 @@ def _ratios(pattern: Pattern, body: Body, s: Sizes, low: float, top: float) -> d
     ]
     for name, heights, girth_there in levels:
         whole = heights[-1] <= top
-        width = max((_flat_girth(pattern, y, s) for y in heights if whole and y >= low), default=0.0)
+        width = max((cloth.at(y) for y in heights if whole and y >= low), default=0.0)
         if width > 0.0:
             ratios[name] = width / (girth_there + _ROUND)
     # seams across the hips, and panels that stand apart there, make the width jump: the tightest counts
     trunk = _trunk_faces(body)
     around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
     found = [
-        _flat_girth(pattern, y, s) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
+        cloth.at(y) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
         for y in around.tolist()
         if low <= y <= top
     ]
@@ -162,27 +160,31 @@ def _widest(body: Body, s: Sizes, trunk: np.ndarray, top: float) -> float:
     return max(girth(body.mesh.vertices, trunk, y) for y in np.linspace(low, top, 9).tolist())
 
 
-def _flat_girth(pattern: Pattern, height: float, s: Sizes) -> float:
-    """Width of all panels together at a height [m], without sleeves: those above the crotch whose middle is beside the
-    trunk."""
-    total = 0.0
-    for panel in pattern.panels:
-        points = panel.placed(panel.outline(_COARSE))
-        x, y, _ = points.mean(axis=0)
-        if abs(x - s.centre) > _REACH * s.shoulder_half and y > s.crotch_height:
-            continue
-        total += _width(points, height)
-    return total
+class _Girths:
+    """Girths of a placed garment without its sleeves: lengths, in the flat cloth, of lines that are level as it is placed.
 
+    Its seams are closed, so such a line goes all around, across panels that stand apart and inserts that stand beside.
+    """
 
-def _width(points: FloatArray, height: float) -> float:
-    """Width at a height of a panel with an outline (N, 3) [m]."""
-    after = np.roll(points, -1, axis=0)
-    cut = (points[:, 1] > height) != (after[:, 1] > height)
-    share = (height - points[cut, 1]) / (after[cut, 1] - points[cut, 1])
-    line = points[cut] + share[:, None] * (after[cut] - points[cut])
-    line = line[np.argsort(line[:, 0])]
-    return float(np.linalg.norm(line[1::2] - line[0 : 2 * len(line[1::2]) : 2], axis=1).sum())
+    def __init__(self, pattern: Pattern, garment: Garment, cut: Cut) -> None:
+        arms = [n for side in cut.arms for n in sleeves.members(pattern, garment, cut, side)]
+        trunk = ~np.isin(garment.panel_of_face, arms)
+        self.flat = garment.rest_corners[trunk]
+        self.heights = garment.vertices[garment.faces[trunk], 1]
+
+    def at(self, height: float) -> float:
+        """Girth at a height, 0 where there is nothing [m]."""
+        above = self.heights > height
+        cut = above.any(axis=1) & ~above.all(axis=1)
+        y, flat, above = self.heights[cut], self.flat[cut], above[cut]
+        ends = []
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            crossed = above[:, i] != above[:, j]
+            share = (height - y[:, i]) / np.where(crossed, y[:, j] - y[:, i], 1.0)
+            points = flat[:, i] + share[:, None] * (flat[:, j] - flat[:, i])
+            ends.append(np.where(crossed[:, None], points, np.nan))
+        stacked = np.stack(ends)  # two of three sides are crossed
+        return float(np.linalg.norm(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0), axis=1).sum())
 
 
 # Moving
@@ -303,7 +305,7 @@ def _to_waist(pattern: Pattern, garment: Garment, cut: Cut, body: Body) -> Float
     at = int(below.max()) if len(below) else 0 if opening > girths.max() else waist
     rim, s = float(ring[:, 1].mean()), _sizes(body)
     lift = heights[at] - rim
-    own_waist = _own_waist(pattern, float(ring[:, 1].min()))
+    own_waist = _own_waist(pattern, garment, cut, float(ring[:, 1].min()))
     if own_waist is not None and s is not None:
         lift = min(s.waist_height - own_waist, s.armpit_height - _BELOW_ARMPITS - float(ring[:, 1].max()))
     elif cut.crotch is not None and s is not None:
@@ -318,12 +320,12 @@ def _to_waist(pattern: Pattern, garment: Garment, cut: Cut, body: Body) -> Float
     return np.array([target[0] - centre[0], lift, target[1] - centre[2]])
 
 
-def _own_waist(pattern: Pattern, rim: float) -> float | None:
+def _own_waist(pattern: Pattern, garment: Garment, cut: Cut, rim: float) -> float | None:
     """Height at which a garment without shoulders is narrowest below its top, if it gets narrower there before it gets
     wider: a bodice without straps."""
     heights = rim - np.arange(_WAIST_STEP, _BODICE, _WAIST_STEP)
-    outlines = [panel.placed(panel.outline(_COARSE)) for panel in pattern.panels]
-    widths = np.array([sum(_width(points, float(y)) for points in outlines) for y in heights])
+    cloth = _Girths(pattern, garment, cut)
+    widths = np.array([cloth.at(float(y)) for y in heights])
     rises = np.flatnonzero(widths > (1.0 + _RISE) * np.minimum.accumulate(widths))
     end = int(rises[0]) if len(rises) else len(widths)
     least = int(widths[:end].argmin())

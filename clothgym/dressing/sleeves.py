@@ -33,8 +33,8 @@ def turned(
     """
     panels, notes = list(pattern.panels), []
     for side, opening in cut.arms.items():
-        members = _sleeve(pattern, garment, cut, side, opening)
-        if not members or side not in arms:
+        panel_numbers = members(pattern, garment, cut, side)
+        if not panel_numbers or side not in arms:
             continue
         loop = garment.openings[opening]
         end, path = garment.vertices[loop].mean(axis=0), arms[side].points[arms[side].start :]
@@ -42,20 +42,22 @@ def turned(
         radius = float(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum()) / (2.0 * math.pi)
         if np.linalg.norm(nearest_on(end[None], path)[0] - end) <= _MIDDLE * radius:
             continue
-        root = _root(garment, members)
+        root = _root(garment, panel_numbers)
         way = end - root
         target = _along(path, nearest_on(root[None], path)[0], float(np.linalg.norm(way))) - root
         turn = _arc(way, target)
         angle = math.degrees(math.acos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
-        for n in members:
-            panels[n] = _turned(panels[n], turn, root)
+        for n in panel_numbers:
+            panels[n] = _onto(_turned(panels[n], turn, root), root + 0.5 * target)
         notes.append(f"fit: {side} sleeve turned by {angle:.0f} degrees to the arm")
     return dataclasses.replace(pattern, panels=tuple(panels)), tuple(notes)
 
 
-def _sleeve(pattern: Pattern, garment: Garment, cut: Cut, side: str, opening: int) -> list[int]:
+def members(pattern: Pattern, garment: Garment, cut: Cut, side: str) -> list[int]:
     """Numbers of the panels of a sleeve: all beside the shoulder, and sewn to each other up to the opening for the arm."""
-    sign = 1.0 if side == "left" else -1.0
+    if len(cut.shoulders) == 0:
+        return []
+    sign, opening = 1.0 if side == "left" else -1.0, cut.arms[side]
     shoulder = sign * (garment.vertices[cut.shoulders, 0] - cut.middle)
     beyond = _INNER * float(shoulder.max())
     beside = {
@@ -75,10 +77,10 @@ def _sleeve(pattern: Pattern, garment: Garment, cut: Cut, side: str, opening: in
         found |= more
 
 
-def _root(garment: Garment, members: Sequence[int]) -> FloatArray:
+def _root(garment: Garment, sleeve: Sequence[int]) -> FloatArray:
     """The middle of where a sleeve is sewn to the rest."""
-    inside = np.concatenate([garment.welded[n] for n in members])
-    outside = np.concatenate([ids for n, ids in enumerate(garment.welded) if n not in members])
+    inside = np.concatenate([garment.welded[n] for n in sleeve])
+    outside = np.concatenate([ids for n, ids in enumerate(garment.welded) if n not in sleeve])
     return np.asarray(garment.vertices[np.intersect1d(inside, outside)].mean(axis=0))
 
 
@@ -104,6 +106,14 @@ def _arc(start: FloatArray, end: FloatArray) -> FloatArray:
     x, y, z = np.cross(a, b)
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + k + k @ k / max(1.0 + float(a @ b), 1e-9))
+
+
+def _onto(panel: Panel, place: FloatArray) -> Panel:
+    """A panel moved across itself until its plane goes through a place: from far away a sleeve is drawn through a bent arm.
+    What then crosses the arm is pushed out on its own side."""
+    normal = panel.rotation_matrix[:, 2]
+    way = float((place - np.asarray(panel.translation)) @ normal) * normal
+    return dataclasses.replace(panel, translation=tuple((np.asarray(panel.translation) + way).tolist()))
 
 
 def _turned(panel: Panel, turn: FloatArray, pivot: FloatArray) -> Panel:

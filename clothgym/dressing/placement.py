@@ -30,8 +30,10 @@ _SHOULDER_CLEARANCE = 0.02
 _PANEL_CLEARANCE = 0.02
 _TIGHTEST, _SNUG = 0.96, 0.98
 """A pattern that is narrower than this share of a girth is made as wide as the second."""
-_WIDEST, _LOOSE = 1.3, 1.15
+_WIDEST, _LOOSE = 1.6, 1.15
 """The same for one that is wider everywhere."""
+_NOT_THERE = 0.6
+"""Share of a girth below which it says nothing."""
 _HELD, _HOLDS = 0.97, 0.94
 """The same for a top opening that nothing but its girth holds, against the girth that it would slide over."""
 _TRUNK_EASE = 1.04
@@ -105,6 +107,8 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         if there > 0.0:
             ratios.setdefault("girth at its top", around / there)
         held = around / _widest(body, s, trunk_faces, float(ring[:, 1].mean()))
+    # nobody is so much larger: what is narrower there is not cut to lie there
+    ratios = {name: ratio for name, ratio in ratios.items() if ratio > _NOT_THERE}
     if not ratios:
         return 1.0, ""
     tight = min(ratios, key=lambda name: ratios[name])
@@ -113,19 +117,28 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         return _SNUG / ratio, f"{100 * ratio:.0f} % of the {tight} of {body.name}"
     if held > _HELD:
         return _HOLDS / held, f"its top is {100 * held:.0f} % of the girth that holds it on {body.name}"
-    if ratio > _WIDEST:
-        return _LOOSE / ratio, f"{100 * ratio:.0f} % of the {tight} of {body.name}, where it is tightest"
+    if ratio > _WIDEST and len(cut.shoulders):
+        # a poncho is wide, and its shoulders are where those of the body are
+        out = float(np.abs(garment.vertices[cut.shoulders, 0] - s.centre).max())
+        factor = max(_LOOSE / ratio, s.shoulder_half / out)
+        if factor < 1.0:
+            return factor, f"{100 * ratio:.0f} % of the {tight} of {body.name}, where it is tightest"
     return 1.0, ""
 
 
 def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
-    """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m]."""
+    """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m].
+
+    A waist that hangs from the shoulders lower than that of the body rides up: it is compared with the waist all the same.
+    """
     ratios = {}
     levels: list[tuple[str, list[float], float]] = [
         ("bust", np.linspace(s.waist_height, s.bust_height, 9).tolist(), s.bust_girth),  # armholes reach below the bust
         ("waist", [s.waist_height], s.waist_girth),
     ]
+    sags = min(0.0, cloth.own_waist(low, s) - s.waist_height) if math.isinf(top) else 0.0
     for name, heights, girth_there in levels:
+        heights = heights if name == "bust" else [y + sags for y in heights]
         whole = heights[-1] <= top
         width = max((cloth.at(y) for y in heights if whole and y >= low), default=0.0)
         if width > 0.0:
@@ -134,9 +147,9 @@ def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dic
     trunk = _trunk_faces(body)
     around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
     found = [
-        cloth.at(y) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
+        cloth.at(y + sags) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
         for y in around.tolist()
-        if low <= y <= top
+        if low <= y + sags <= top
     ]
     if found := [ratio for ratio in found if ratio > 0.0]:
         ratios["hips"] = min(found)
@@ -185,6 +198,17 @@ class _Girths:
             ends.append(np.where(crossed[:, None], points, np.nan))
         stacked = np.stack(ends)  # two of three sides are crossed
         return float(np.linalg.norm(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0), axis=1).sum())
+
+    def own_waist(self, low: float, s: Sizes) -> float:
+        """The height between hips and bust at which a garment that is whole above `low` is clearly narrowest; else the
+        body's waist [m]."""
+        heights = np.arange(max(low, s.crotch_height), s.bust_height, _WAIST_STEP)
+        girths = np.array([self.at(y) for y in heights.tolist()])
+        if len(girths) == 0:
+            return s.waist_height
+        least = int(girths.argmin())
+        clear = girths[least] < _NARROWER * min(girths[0], girths[-1])
+        return float(heights[least]) if clear else s.waist_height
 
 
 # Moving

@@ -24,7 +24,8 @@ _INNER = 0.6
 def turned(
     pattern: Pattern, garment: Garment, cut: Cut, arms: Mapping[str, Limb]
 ) -> tuple[Pattern, tuple[str, ...]]:
-    """The pattern with each sleeve turned about its armhole until its end is on the arm's path; a line for each.
+    """The pattern with each sleeve whose end is beside the arm turned about its armhole until the arm is in its middle; a line
+    for each.
 
     Args:
         pattern: placed at the body's shoulders.
@@ -44,11 +45,12 @@ def turned(
             continue
         root = _root(garment, panel_numbers)
         way = end - root
-        target = _along(path, nearest_on(root[None], path)[0], float(np.linalg.norm(way))) - root
+        foot = nearest_on(root[None], path)[0]
+        target = _along(path, foot, float(np.linalg.norm(way))) - foot
         turn = _arc(way, target)
         angle = math.degrees(math.acos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
         for n in panel_numbers:
-            panels[n] = _onto(_turned(panels[n], turn, root), root + 0.5 * target)
+            panels[n] = _onto(_turned(panels[n], turn, root, foot), foot + 0.5 * target)
         notes.append(f"fit: {side} sleeve turned by {angle:.0f} degrees to the arm")
     return dataclasses.replace(pattern, panels=tuple(panels)), tuple(notes)
 
@@ -116,14 +118,14 @@ def _onto(panel: Panel, place: FloatArray) -> Panel:
     return dataclasses.replace(panel, translation=tuple((np.asarray(panel.translation) + way).tolist()))
 
 
-def _turned(panel: Panel, turn: FloatArray, pivot: FloatArray) -> Panel:
-    """A panel turned about a place, its rotation again as Rz Ry Rx."""
+def _turned(panel: Panel, turn: FloatArray, pivot: FloatArray, foot: FloatArray) -> Panel:
+    """A panel turned about a place that goes to another, its rotation again as Rz Ry Rx."""
     r = turn @ panel.rotation_matrix
     rotation = (
         math.atan2(r[2, 1], r[2, 2]),
         math.asin(float(np.clip(-r[2, 0], -1.0, 1.0))),
         math.atan2(r[1, 0], r[0, 0]),
     )
-    place = turn @ (np.asarray(panel.translation) - pivot) + pivot
+    place = turn @ (np.asarray(panel.translation) - pivot) + foot
     degrees = tuple(math.degrees(angle) for angle in rotation)
     return dataclasses.replace(panel, translation=tuple(place.tolist()), rotation=degrees)

@@ -32,6 +32,8 @@ _TIGHTEST, _SNUG = 0.96, 0.98
 """A pattern that is narrower than this share of a girth is made as wide as the second."""
 _WIDEST, _LOOSE = 1.6, 1.15
 """The same for one that is wider everywhere."""
+_RIDES = 0.05
+"""[m] by which cloth that is too narrow for hips rides up."""
 _NOT_THERE = 0.6
 """Share of a girth below which it says nothing."""
 _HELD, _HOLDS = 0.97, 0.94
@@ -92,7 +94,9 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         return 1.0, ""
     garment = assemble(pattern, _COARSE)
     cut = read(garment)
-    hangs = len(cut.shoulders) == 0 and bool(cut.around)
+    if not cut.around or _own_limb(garment, cut, body) is not None:
+        return 1.0, ""  # a sleeve, a scarf
+    hangs = len(cut.shoulders) == 0
     ratios = _ratios(_Girths(pattern, garment, cut), body, s, *_whole(garment, cut))
     if len(cut.shoulders) and cut.crotch is not None:
         trunk = s.shoulder_height + _SHOULDER_CLEARANCE - s.crotch_height
@@ -129,14 +133,14 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
 def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
     """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m].
 
-    A waist that hangs from the shoulders lower than that of the body rides up: it is compared with the waist all the same.
+    A waist that hangs from the shoulders lower than that of the body rides up, and is measured where it comes to lie.
     """
     ratios = {}
     levels: list[tuple[str, list[float], float]] = [
         ("bust", np.linspace(s.waist_height, s.bust_height, 9).tolist(), s.bust_girth),  # armholes reach below the bust
         ("waist", [s.waist_height], s.waist_girth),
     ]
-    sags = min(0.0, cloth.own_waist(low, s) - s.waist_height) if math.isinf(top) else 0.0
+    sags = float(np.clip(cloth.own_waist(low, s) - s.waist_height, -_RIDES, 0.0)) if math.isinf(top) else 0.0
     for name, heights, girth_there in levels:
         heights = heights if name == "bust" else [y + sags for y in heights]
         whole = heights[-1] <= top
@@ -159,8 +163,6 @@ def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dic
 def _whole(garment: Garment, cut: Cut) -> tuple[float, float]:
     """Heights between which a garment goes all around the trunk [m]: above its hem, and below its top if that is not at the
     neck."""
-    if not cut.around:
-        return math.inf, -math.inf
     rings = [garment.vertices[garment.openings[n]][:, 1] for n in cut.around]
     low = float(rings[-1].max()) if len(rings) > 1 else float(garment.vertices[:, 1].min()) + _COARSE
     return low, math.inf if len(cut.shoulders) else float(rings[0].min())

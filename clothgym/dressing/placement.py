@@ -32,8 +32,8 @@ _TIGHTEST, _SNUG = 0.96, 0.98
 """A pattern that is narrower than this share of a girth is made as wide as the second."""
 _WIDEST, _LOOSE = 1.6, 1.15
 """The same for one that is wider everywhere."""
-_RIDES = 0.05
-"""[m] by which cloth that is too narrow for hips rides up."""
+_LARGER = 1.25
+"""What hangs from the shoulders is made larger by no more than this: a waist that comes to lie at the hips rides up."""
 _NOT_THERE = 0.6
 """Share of a girth below which it says nothing."""
 _HELD, _HOLDS = 0.97, 0.94
@@ -118,7 +118,7 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     tight = min(ratios, key=lambda name: ratios[name])
     ratio = ratios[tight]
     if ratio < _TIGHTEST:
-        return _SNUG / ratio, f"{100 * ratio:.0f} % of the {tight} of {body.name}"
+        return min(_SNUG / ratio, math.inf if hangs else _LARGER), f"{100 * ratio:.0f} % of the {tight} of {body.name}"
     if held > _HELD:
         return _HOLDS / held, f"its top is {100 * held:.0f} % of the girth that holds it on {body.name}"
     if ratio > _WIDEST and len(cut.shoulders):
@@ -131,18 +131,14 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
 
 
 def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
-    """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m].
-
-    A waist that hangs from the shoulders lower than that of the body rides up, and is measured where it comes to lie.
-    """
+    """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m]."""
     ratios = {}
+    bust = min(s.bust_height, cloth.below_arms)  # armholes reach below the bust
     levels: list[tuple[str, list[float], float]] = [
-        ("bust", np.linspace(s.waist_height, s.bust_height, 9).tolist(), s.bust_girth),  # armholes reach below the bust
+        ("bust", np.linspace(s.waist_height, max(s.waist_height, bust), 9).tolist(), s.bust_girth),
         ("waist", [s.waist_height], s.waist_girth),
     ]
-    sags = float(np.clip(cloth.own_waist(low, s) - s.waist_height, -_RIDES, 0.0)) if math.isinf(top) else 0.0
     for name, heights, girth_there in levels:
-        heights = heights if name == "bust" else [y + sags for y in heights]
         whole = heights[-1] <= top
         width = max((cloth.at(y) for y in heights if whole and y >= low), default=0.0)
         if width > 0.0:
@@ -151,9 +147,9 @@ def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dic
     trunk = _trunk_faces(body)
     around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
     found = [
-        cloth.at(y + sags) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
+        cloth.at(y) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
         for y in around.tolist()
-        if low <= y + sags <= top
+        if low <= y <= top
     ]
     if found := [ratio for ratio in found if ratio > 0.0]:
         ratios["hips"] = min(found)
@@ -177,13 +173,17 @@ def _widest(body: Body, s: Sizes, trunk: np.ndarray, top: float) -> float:
 
 class _Girths:
     """Girths of a placed garment without its sleeves: lengths, in the flat cloth, of lines that are level as it is placed.
+    `below_arms` is where the armholes have ended [m].
 
     Its seams are closed, so such a line goes all around, across panels that stand apart and inserts that stand beside.
     """
 
     def __init__(self, pattern: Pattern, garment: Garment, cut: Cut) -> None:
-        arms = [n for side in cut.arms for n in sleeves.members(pattern, garment, cut, side)]
-        trunk = ~np.isin(garment.panel_of_face, arms)
+        arms = {side: sleeves.members(pattern, garment, cut, side) for side in cut.arms}
+        trunk = ~np.isin(garment.panel_of_face, [n for panels in arms.values() for n in panels])
+        holes = [sleeves.armhole(garment, panels, cut.arms[side]) for side, panels in arms.items()]
+        lowest = [float(garment.vertices[ids, 1].min()) for ids in holes]
+        self.below_arms = min(lowest) - _COARSE if lowest else math.inf
         self.flat = garment.rest_corners[trunk]
         self.heights = garment.vertices[garment.faces[trunk], 1]
 
@@ -200,17 +200,6 @@ class _Girths:
             ends.append(np.where(crossed[:, None], points, np.nan))
         stacked = np.stack(ends)  # two of three sides are crossed
         return float(np.linalg.norm(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0), axis=1).sum())
-
-    def own_waist(self, low: float, s: Sizes) -> float:
-        """The height between hips and bust at which a garment that is whole above `low` is clearly narrowest; else the
-        body's waist [m]."""
-        heights = np.arange(max(low, s.crotch_height), s.bust_height, _WAIST_STEP)
-        girths = np.array([self.at(y) for y in heights.tolist()])
-        if len(girths) == 0:
-            return s.waist_height
-        least = int(girths.argmin())
-        clear = girths[least] < _NARROWER * min(girths[0], girths[-1])
-        return float(heights[least]) if clear else s.waist_height
 
 
 # Moving

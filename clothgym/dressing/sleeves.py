@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from clothgym.arrays import FloatArray
+from clothgym.arrays import FloatArray, IntArray
 from clothgym.detection.openings import nearest_on
 from clothgym.dressing.cut import Cut
 from clothgym.garment import Garment
@@ -43,7 +43,7 @@ def turned(
         radius = float(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum()) / (2.0 * math.pi)
         if np.linalg.norm(nearest_on(end[None], path)[0] - end) <= _MIDDLE * radius:
             continue
-        root = _root(garment, panel_numbers)
+        root = garment.vertices[armhole(garment, panel_numbers, opening)].mean(axis=0)
         way = end - root
         foot = nearest_on(root[None], path)[0]
         target = _along(path, foot, float(np.linalg.norm(way))) - foot
@@ -79,11 +79,13 @@ def members(pattern: Pattern, garment: Garment, cut: Cut, side: str) -> list[int
         found |= more
 
 
-def _root(garment: Garment, sleeve: Sequence[int]) -> FloatArray:
-    """The middle of where a sleeve is sewn to the rest."""
+def armhole(garment: Garment, sleeve: Sequence[int], opening: int) -> IntArray:
+    """Ids of the vertices where a sleeve is sewn to the rest, or of the opening where there is none."""
+    if not sleeve:
+        return garment.openings[opening]
     inside = np.concatenate([garment.welded[n] for n in sleeve])
     outside = np.concatenate([ids for n, ids in enumerate(garment.welded) if n not in sleeve])
-    return np.asarray(garment.vertices[np.intersect1d(inside, outside)].mean(axis=0))
+    return np.intersect1d(inside, outside)
 
 
 def _along(path: FloatArray, start: FloatArray, length: float) -> FloatArray:

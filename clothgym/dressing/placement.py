@@ -19,7 +19,7 @@ from clothgym.detection.body_mesh import still
 from clothgym.detection.openings import nearest_on
 from clothgym.dressing import sleeves
 from clothgym.dressing.cut import Cut, read
-from clothgym.dressing.sewing import opening_lengths
+from clothgym.dressing.sewing import opening_lengths, rest_of
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
 from clothgym.rig import Limb, girth, heights_above, section_hull
@@ -40,6 +40,8 @@ _HELD, _HOLDS = 0.97, 0.94
 """The same for a top opening that nothing but its girth holds, against the girth that it would slide over."""
 _TRUNK_EASE = 1.04
 """Cloth from shoulder to crotch is so much longer than the way straight down."""
+_ARMHOLE, _COLLAR = 1.75, 1.05
+"""Armholes go so many times around an upper arm, necks around the narrowest place of a neck: shoulders are in between."""
 _ROUND = 2.0 * math.pi * 4e-3
 """[m] cloth lies 4 mm from the skin: so much longer it is than a girth."""
 _HIPS = 0.05
@@ -98,6 +100,14 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         return 1.0, ""  # a sleeve, a scarf
     hangs = len(cut.shoulders) == 0
     ratios = _ratios(_Girths(pattern, garment, cut), body, s, *_whole(garment, cut))
+    if len(cut.shoulders):
+        lengths = opening_lengths(garment)
+        holes = [sleeves.armhole(garment, sleeves.members(pattern, garment, cut, side), n) for side, n in cut.arms.items()]
+        surface, rest = rest_of(garment)
+        around = min(float(rest[np.isin(surface.edges, ids).all(axis=1)].sum()) for ids in holes)
+        ratios["armholes"] = around / (_ARMHOLE * max(s.left_arm.upper_girth, s.right_arm.upper_girth))
+        if len(cut.arms) == 2:
+            ratios["neck"] = lengths[cut.around[0]] / (_COLLAR * s.neck_girth)
     if len(cut.shoulders) and cut.crotch is not None:
         trunk = s.shoulder_height + _SHOULDER_CLEARANCE - s.crotch_height
         rise = float(garment.vertices[cut.shoulders, 1].mean() - cut.crotch[1])

@@ -86,7 +86,7 @@ def read(garment: Garment) -> Cut:
     arms = {side: rest[0] for side, numbers in sides.items() if (rest := [n for n in numbers if n != legs.get(side)])}
     others = tuple(n for n in lateral if n not in {*arms.values(), *legs.values()})
     shoulders = [_shoulder(garment, middle, side, garment.openings[n]) for side, n in arms.items() if around]
-    joined = np.concatenate(shoulders) if shoulders else np.zeros(0, np.int64)
+    joined = np.concatenate([np.zeros(0, np.int32), *shoulders])
     return Cut(middle, arms, legs, tuple(sorted((*around, *others))), crotch, joined)
 
 
@@ -138,9 +138,9 @@ def _shoulder(garment: Garment, middle: float, side: str, armhole: IntArray) -> 
         if out.min() > 0.5 * _AT_MIDDLE and run[0] > _LEVEL * run[1]:
             lines.append(line)
     if not lines:
-        return np.array([armhole[np.argmax(x[armhole, 1])]], np.int64)
+        return np.array([armhole[np.argmax(x[armhole, 1])]], np.int32)
     best = max(lines, key=lambda line: float(x[line, 1].mean()))
-    return np.array(best[len(best) // 2 :], np.int64)
+    return np.array(best[len(best) // 2 :], np.int32)
 
 
 def _lines(garment: Garment) -> list[list[int]]:

@@ -98,29 +98,17 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     cut = read(garment)
     if not cut.around or _own_limb(garment, cut, body) is not None:
         return 1.0, ""  # a sleeve, a scarf
-    hangs = len(cut.shoulders) == 0
+    hangs, held = len(cut.shoulders) == 0, 0.0
     ratios = _ratios(_Girths(pattern, garment, cut), body, s, *_whole(garment, cut))
-    if len(cut.shoulders):
-        lengths = opening_lengths(garment)
-        holes = [sleeves.armhole(garment, sleeves.members(pattern, garment, cut, side), n) for side, n in cut.arms.items()]
-        surface, rest = rest_of(garment)
-        around = min(float(rest[np.isin(surface.edges, ids).all(axis=1)].sum()) for ids in holes)
-        ratios["armholes"] = around / (_ARMHOLE * max(s.left_arm.upper_girth, s.right_arm.upper_girth))
-        if len(cut.arms) == 2:
-            ratios["neck"] = lengths[cut.around[0]] / (_COLLAR * s.neck_girth)
-    if len(cut.shoulders) and cut.crotch is not None:
-        trunk = s.shoulder_height + _SHOULDER_CLEARANCE - s.crotch_height
-        rise = float(garment.vertices[cut.shoulders, 1].mean() - cut.crotch[1])
-        ratios["length of the trunk"] = rise / (_TRUNK_EASE * trunk)
-    held = 0.0
     if hangs:
-        trunk_faces = _trunk_faces(body)
-        ring = garment.vertices[garment.openings[cut.around[0]]]
-        around = opening_lengths(garment)[cut.around[0]]
-        there = girth(body.mesh.vertices, trunk_faces, float(ring[:, 1].mean()))
+        trunk = _trunk_faces(body)
+        top = float(garment.vertices[garment.openings[cut.around[0]], 1].mean())
+        length, there = opening_lengths(garment)[cut.around[0]], girth(body.mesh.vertices, trunk, top)
         if there > 0.0:
-            ratios.setdefault("girth at its top", around / there)
-        held = around / _widest(body, s, trunk_faces, float(ring[:, 1].mean()))
+            ratios["girth at its top"] = length / there
+        held = length / _widest(body, s, trunk, top)
+    else:
+        ratios |= _upper_ratios(pattern, garment, cut, s)
     # nobody is so much larger: what is narrower there is not cut to lie there
     ratios = {name: ratio for name, ratio in ratios.items() if ratio > _NOT_THERE}
     if not ratios:
@@ -140,6 +128,21 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     return 1.0, ""
 
 
+def _upper_ratios(pattern: Pattern, garment: Garment, cut: Cut, s: Sizes) -> dict[str, float]:
+    """The same for what a garment with shoulders has above the bust: armholes, a neck, and the way to its crotch."""
+    surface, rest = rest_of(garment)
+    holes = [sleeves.armhole(garment, sleeves.members(pattern, garment, cut, side), n) for side, n in cut.arms.items()]
+    armhole = min(float(rest[np.isin(surface.edges, ids).all(axis=1)].sum()) for ids in holes)
+    ratios = {"armholes": armhole / (_ARMHOLE * max(s.left_arm.upper_girth, s.right_arm.upper_girth))}
+    if len(cut.arms) == 2:
+        ratios["neck"] = opening_lengths(garment)[cut.around[0]] / (_COLLAR * s.neck_girth)
+    if cut.crotch is not None:
+        trunk = s.shoulder_height + _SHOULDER_CLEARANCE - s.crotch_height
+        rise = float(garment.vertices[cut.shoulders, 1].mean() - cut.crotch[1])
+        ratios["length of the trunk"] = rise / (_TRUNK_EASE * trunk)
+    return ratios
+
+
 def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dict[str, float]:
     """Girth of the garment through that of the body at bust, waist and hips, between the heights where it is whole [m]."""
     ratios = {}
@@ -156,11 +159,7 @@ def _ratios(cloth: _Girths, body: Body, s: Sizes, low: float, top: float) -> dic
     # seams across the hips, and panels that stand apart there, make the width jump: the tightest counts
     trunk = _trunk_faces(body)
     around = s.hip_height + _HIPS * s.height * np.linspace(-1.0, 1.0, 9)
-    found = [
-        cloth.at(y) / (girth(body.mesh.vertices, trunk, y) + _ROUND)
-        for y in around.tolist()
-        if low <= y <= top
-    ]
+    found = [cloth.at(y) / (girth(body.mesh.vertices, trunk, y) + _ROUND) for y in around.tolist() if low <= y <= top]
     if found := [ratio for ratio in found if ratio > 0.0]:
         ratios["hips"] = min(found)
     return ratios

@@ -21,9 +21,7 @@ _INNER = 0.6
 """Panels of a sleeve begin at this share of the way from the middle to the end of the shoulder."""
 
 
-def turned(
-    pattern: Pattern, garment: Garment, cut: Cut, arms: Mapping[str, Limb]
-) -> tuple[Pattern, tuple[str, ...]]:
+def turned(pattern: Pattern, garment: Garment, cut: Cut, arms: Mapping[str, Limb]) -> tuple[Pattern, tuple[str, ...]]:
     """The pattern with each sleeve whose end is beside the arm turned about its armhole until the arm is in its middle; a line
     for each.
 
@@ -129,5 +127,4 @@ def _turned(panel: Panel, turn: FloatArray, pivot: FloatArray, foot: FloatArray)
         math.atan2(r[1, 0], r[0, 0]),
     )
     place = turn @ (np.asarray(panel.translation) - pivot) + foot
-    degrees = tuple(math.degrees(angle) for angle in rotation)
-    return dataclasses.replace(panel, translation=tuple(place.tolist()), rotation=degrees)
+    return dataclasses.replace(panel, translation=tuple(place.tolist()), rotation=tuple(np.degrees(rotation).tolist()))

@@ -23,6 +23,10 @@ _AROUND, _MOST_AROUND = 0.01, 200
 """Share of a body's vertices, and their greatest number, that carry a point of a limb's path along."""
 
 
+_NOSE = 0.2
+"""Share of the way from the base of the skull to the crown; hoods cover the brow."""
+
+
 def expected_limbs(garment: Garment, body: Body) -> list[str]:
     """What belongs through each opening: the limb that it is placed around; "body" for a body without a skeleton.
 
@@ -31,8 +35,8 @@ def expected_limbs(garment: Garment, body: Body) -> list[str]:
     if not body.limbs:
         return ["body"] * len(garment.openings)
     nearest = [expected_limb(garment.vertices[loop], body.limbs) for loop in garment.openings]
-    if set(nearest) == {LEGS} and len(nearest) == 2 or len(set(nearest)) == 1 and nearest[0] != LEGS:
-        return nearest  # a skirt; a cuff, a scarf
+    if len(set(nearest)) == 1 and (nearest[0] != LEGS or len(nearest) == 2):
+        return nearest  # a cuff, a scarf, a skirt
     through = [name for opening in nearest for name in members(opening)]
     if sorted(through) == sorted(limb.name for limb in body.limbs):
         return nearest
@@ -92,7 +96,7 @@ def paths(garment: Garment, expected: Sequence[str], limbs: Sequence[Limb]) -> t
 def _looking_out(head: Limb) -> Limb:
     """A head's path that leaves it through the face instead of the crown."""
     points = np.array(head.points[:-1])
-    points[-1] = 0.5 * (points[-2] + points[-1])
+    points[-1] = points[-2] + _NOSE * (points[-1] - points[-2])
     return Limb(head.name, np.vstack([points, points[-1] + (0.0, 0.0, 1.0)]), head.start)
 
 

@@ -248,6 +248,16 @@ def test_a_top_that_nothing_holds_is_made_smaller(woman: cg.Body):
     assert garment.vertices[garment.openings[0], 1].mean() > sizes(woman).crotch_height
 
 
+def test_legs_end_above_the_ground(woman: cg.Body):
+    """A tenth too large: loose at waist and hips, and 9 cm too long."""
+    given = rewritten("trousers", woman).scaled(1.12)
+    fitted, notes = placement.fit(given, woman)
+    assert any("below the feet" in note for note in notes)
+    garment = assemble(fitted, COARSE)
+    hems = [garment.vertices[garment.openings[n], 1].mean() for n in read(garment).legs.values()]
+    assert min(hems) > 0.0
+
+
 # What counts as worn
 
 
@@ -281,3 +291,4 @@ def test_a_head_looks_out_of_a_hood(woman: cg.Body):
         (head, *others) = paths(garment, ["head"], woman.limbs)
         assert (head.points[-1][2] > 0.9) == looks_out
         assert others == list(woman.limbs[1:])
+        assert paths(garment, [LEGS], woman.limbs) == woman.limbs

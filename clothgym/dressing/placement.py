@@ -119,6 +119,8 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         return min(_SNUG / ratio, math.inf if hangs else _LARGER), f"{100 * ratio:.0f} % of the {tight} of {body.name}"
     if held > _HELD:
         return _HOLDS / held, f"its top is {100 * held:.0f} % of the girth that holds it on {body.name}"
+    if cut.legs and (short := max(_leg_room(garment, cut, s), _SNUG / ratio)) < _TIGHTEST:
+        return short, f"its legs reach below the feet of {body.name}"
     if ratio > _WIDEST and len(cut.shoulders):
         # a poncho is wide, and its shoulders are where those of the body are
         out = float(np.abs(garment.vertices[cut.shoulders, 0] - s.centre).max())
@@ -126,6 +128,14 @@ def _factor(pattern: Pattern, body: Body) -> tuple[float, str]:
         if factor < 1.0:
             return factor, f"{100 * ratio:.0f} % of the {tight} of {body.name}, where it is tightest"
     return 1.0, ""
+
+
+def _leg_room(garment: Garment, cut: Cut, s: Sizes) -> float:
+    """The way from the top of a garment down to half of the ankles through its length to the hems of its legs."""
+    y = garment.vertices[:, 1]
+    top = float(y[cut.shoulders].mean() if len(cut.shoulders) else y[garment.openings[cut.around[0]]].mean())
+    hem = min(float(y[garment.openings[n]].mean()) for n in cut.legs.values())
+    return (top - 0.5 * (s.ground + s.ankle_height)) / (top - hem)
 
 
 def _upper_ratios(pattern: Pattern, garment: Garment, cut: Cut, s: Sizes) -> dict[str, float]:

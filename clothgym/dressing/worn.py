@@ -84,13 +84,17 @@ def threadings(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expe
 
 
 def paths(garment: Garment, expected: Sequence[str], limbs: Sequence[Limb]) -> tuple[Limb, ...]:
-    """The limbs as a garment is asked about them: under a hood, whose opening faces forward, the head looks out in front."""
-    for loop, name in zip(garment.openings, expected):
-        ring = garment.vertices[loop]
-        _, up, forward = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
-        if "head" in members(name) and abs(forward) > abs(up):
-            return tuple(_looking_out(limb) if limb.name == "head" else limb for limb in limbs)
-    return tuple(limbs)
+    """The limbs as a garment is asked about them: under a hood, whose border reaches above the chin, the head looks out in
+    front."""
+    tops = [float(garment.vertices[loop, 1].max()) for loop, name in zip(garment.openings, expected) if _for_head(name)]
+    return tuple(
+        _looking_out(limb) if limb.name == "head" and max(tops, default=-np.inf) > limb.points[-3][1] else limb
+        for limb in limbs
+    )
+
+
+def _for_head(expected: str) -> bool:
+    return "head" in members(expected)
 
 
 def _looking_out(head: Limb) -> Limb:

@@ -13,7 +13,7 @@ import pytest
 import clothgym as cg
 from clothgym import body as bodies
 from clothgym import wardrobe
-from clothgym.detection.openings import LEGS, Threading, expectation
+from clothgym.detection.openings import LEGS, Threading, expectation, nearest_on
 from clothgym.dressing import placement
 from clothgym.dressing.cut import read
 from clothgym.dressing.draping import _Fitting
@@ -198,6 +198,15 @@ def test_level_sleeves_are_turned_to_the_arms(woman: cg.Body):
     assert sum("sleeve turned by" in note for note in notes) == 2
     assert sewn_wrong(tee(), woman) == []
     assert sewn_wrong(tee(), bare(woman)) == []
+
+
+def test_bent_arms_are_found_without_a_skeleton(woman: cg.Body, man: cg.Body):
+    """The straight way from the shoulder to the fingers passes 7 cm beside the elbow."""
+    for body in (woman, man):
+        for side, arm in placement._arms(bare(body)).items():
+            true = placement._arms(body)[side]
+            feet = nearest_on(arm.points[1:], true.points[true.start :])
+            assert np.linalg.norm(feet - arm.points[1:], axis=1).max() < 0.03
 
 
 def test_an_open_front_is_worn(woman: cg.Body):

@@ -23,7 +23,7 @@ from clothgym.dressing.sewing import opening_lengths, rest_of
 from clothgym.garment import Garment, assemble
 from clothgym.pattern import Pattern
 from clothgym.rig import Limb, girth, heights_above, section_hull
-from clothgym.sizes import Sizes, sizes
+from clothgym.sizes import Arm, Sizes, sizes
 
 _SHOULDER_CLEARANCE = 0.02
 """[m] shoulder seams stand this far above the shoulders: lower, they start inside the body."""
@@ -51,6 +51,8 @@ _COARSE = 0.03
 _PUSH_ROUNDS = 30
 _WAIST_STEP = 0.005
 _WAY_ROUNDS = 20
+_ALONG_ARM, _SLICE, _AROUND_ARM = (0.6, 1.0), 0.01, 0.08
+"""Shares of the way to the wrist where an arm is cut, and shares of the height: half of such a cut, and how far around it."""
 _BELOW_CROTCH, _BELOW_ARMPITS = 0.015, 0.01
 """[m] crotch of trousers below that of the body, and top of a bodice without straps below the armpits."""
 _BODICE, _SHORTEST_BODICE, _NARROWER, _RISE = 0.45, 0.05, 0.94, 0.01
@@ -272,7 +274,18 @@ def _arms(body: Body) -> dict[str, Limb]:
     if s is None:
         return {}
     pairs = (("left", s.left_arm), ("right", s.right_arm))
-    return {side: Limb(f"{side}_arm", np.stack([arm.shoulder, arm.elbow, arm.wrist]), 0) for side, arm in pairs}
+    return {side: Limb(f"{side}_arm", _arm_path(body, arm, s.height), 0) for side, arm in pairs}
+
+
+def _arm_path(body: Body, arm: Arm, height: float) -> FloatArray:
+    """Shoulder, below the elbow and wrist, each in the middle of what is around the straight way there: arms are bent."""
+    v, path = body.mesh.vertices, [arm.shoulder]
+    for share in _ALONG_ARM:
+        place = arm.shoulder + share * (arm.wrist - arm.shoulder)
+        off = v - place
+        near = (np.abs(off @ arm.way) < _SLICE * height) & (np.linalg.norm(off, axis=1) < _AROUND_ARM * height)
+        path.append(0.5 * (v[near].min(axis=0) + v[near].max(axis=0)) if near.any() else place)
+    return np.stack(path)
 
 
 def _nearest_limb(garment: Garment, limbs: Sequence[Limb]) -> Limb | None:

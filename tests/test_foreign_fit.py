@@ -14,7 +14,7 @@ import clothgym as cg
 from clothgym import body as bodies
 from clothgym import wardrobe
 from clothgym.detection.openings import LEGS, Threading, expectation, nearest_on
-from clothgym.dressing import placement
+from clothgym.dressing import placement, scaling, wearer
 from clothgym.dressing.cut import read
 from clothgym.dressing.draping import _Fitting
 from clothgym.dressing.worn import paths
@@ -203,8 +203,8 @@ def test_level_sleeves_are_turned_to_the_arms(woman: cg.Body):
 def test_bent_arms_are_found_without_a_skeleton(woman: cg.Body, man: cg.Body):
     """The straight way from the shoulder to the fingers passes 7 cm beside the elbow."""
     for body in (woman, man):
-        for side, arm in placement._arms(bare(body)).items():
-            true = placement._arms(body)[side]
+        for side, arm in wearer.arms(bare(body)).items():
+            true = wearer.arms(body)[side]
             feet = nearest_on(arm.points[1:], true.points[true.start :])
             assert np.linalg.norm(feet - arm.points[1:], axis=1).max() < 0.03
 
@@ -245,7 +245,7 @@ def test_girths_go_on_across_panels_that_stand_apart():
     stitches = [garmentcode.stitch(a, 1, b, 3) for a, b in zip(ring, [*ring[1:], ring[0]])]
     pattern = Pattern.from_json(garmentcode.document(panels, stitches), "apart")
     garment = assemble(pattern, COARSE)
-    girth = placement._Girths(pattern, garment, read(garment)).at(0.0)
+    girth = scaling.Girths(pattern, garment, read(garment)).at(0.0)
     assert girth == pytest.approx(1.0, abs=1e-9)
 
 

@@ -17,6 +17,7 @@ from clothgym.detection.openings import LEGS, Threading, expectation, nearest_on
 from clothgym.dressing import placement, scaling, wearer
 from clothgym.dressing.cut import read
 from clothgym.dressing.draping import _Fitting
+from clothgym.dressing.sewing import opening_lengths
 from clothgym.dressing.worn import paths
 from clothgym.fidelity import Fidelity
 from clothgym.garment import assemble
@@ -255,6 +256,17 @@ def test_a_top_that_nothing_holds_is_made_smaller(woman: cg.Body):
     assert any("girth that holds it" in note for note in notes)
     garment = assemble(fitted, COARSE)
     assert garment.vertices[garment.openings[0], 1].mean() > sizes(woman).crotch_height
+
+
+def test_what_is_tight_at_the_hips_still_hangs_from_them(woman: cg.Body):
+    """A straight tube of 88 cm: made wide enough for the hips all the way up it would fall off."""
+    sides = {"f": garmentcode.rectangle(44, 40, translation=[0, 80, DEPTH])}
+    sides["b"] = garmentcode.rectangle(44, 40, clockwise=True, translation=[0, 80, -DEPTH])
+    stitches = [garmentcode.stitch("f", 1, "b", 3), garmentcode.stitch("f", 3, "b", 1)]
+    fitted, notes = placement.fit(Pattern.from_json(garmentcode.document(sides, stitches), "tube"), woman)
+    assert "of the hips" in notes[0]
+    top = opening_lengths(assemble(fitted, COARSE))[0]
+    assert 0.88 <= top + 1e-6 <= 0.95 * sizes(woman).hip_girth
 
 
 def test_legs_end_above_the_ground(woman: cg.Body):

@@ -17,7 +17,7 @@ from clothgym.detection.body_mesh import still
 from clothgym.detection.openings import nearest_on
 from clothgym.dressing import sleeves
 from clothgym.dressing.cut import Cut, read
-from clothgym.dressing.scaling import COARSE, SHOULDER_CLEARANCE, Girths, factor
+from clothgym.dressing.scaling import COARSE, SHOULDER_CLEARANCE, Girths, factor, whole
 from clothgym.dressing.sewing import opening_lengths
 from clothgym.dressing.wearer import arms, known_sizes, own_limb, trunk_faces
 from clothgym.garment import Garment, assemble
@@ -148,6 +148,9 @@ def _own_waist(pattern: Pattern, garment: Garment, cut: Cut, rim: float) -> floa
     """Height at which a garment without shoulders is narrowest below its top, if it gets narrower there before it gets
     wider: a bodice without straps."""
     heights = rim - np.arange(_WAIST_STEP, _BODICE, _WAIST_STEP)
+    heights = heights[heights > whole(garment, cut)[0]]
+    if len(heights) == 0:
+        return None
     cloth = Girths(pattern, garment, cut)
     widths = np.array([cloth.at(float(y)) for y in heights])
     rises = np.flatnonzero(widths > (1.0 + _RISE) * np.minimum.accumulate(widths))

@@ -50,7 +50,7 @@ def factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     if not cut.around or own_limb(garment, cut, body) is not None:
         return 1.0, ""  # a sleeve, a scarf
     hangs, held = len(cut.shoulders) == 0, 0.0
-    ratios = _ratios(Girths(pattern, garment, cut), body, s, *_whole(garment, cut))
+    ratios = _ratios(Girths(pattern, garment, cut), body, s, *whole(garment, cut))
     if hangs:
         trunk = trunk_faces(body)
         top = float(garment.vertices[garment.openings[cut.around[0]], 1].mean())
@@ -67,7 +67,10 @@ def factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     tight = min(ratios, key=lambda name: ratios[name])
     ratio = ratios[tight]
     if ratio < _TIGHTEST:
-        return min(_SNUG / ratio, math.inf if hangs else _LARGER), f"{100 * ratio:.0f} % of the {tight} of {body.name}"
+        most = (
+            max(_HOLDS / held, 1.0) if hangs else _LARGER
+        )  # what is tight and too wide at its top is held by the stretch
+        return min(_SNUG / ratio, most), f"{100 * ratio:.0f} % of the {tight} of {body.name}"
     if held > _HELD:
         return _HOLDS / held, f"its top is {100 * held:.0f} % of the girth that holds it on {body.name}"
     if cut.legs and (short := max(_leg_room(garment, cut, s), _SNUG / ratio)) < _TIGHTEST:
@@ -126,7 +129,7 @@ def _ratios(cloth: Girths, body: Body, s: Sizes, low: float, top: float) -> dict
     return ratios
 
 
-def _whole(garment: Garment, cut: Cut) -> tuple[float, float]:
+def whole(garment: Garment, cut: Cut) -> tuple[float, float]:
     """Heights between which a garment goes all around the trunk [m]: above its hem, and below its top if that is not at the
     neck."""
     rings = [garment.vertices[garment.openings[n]][:, 1] for n in cut.around]

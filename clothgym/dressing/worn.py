@@ -87,10 +87,12 @@ def paths(garment: Garment, expected: Sequence[str], limbs: Sequence[Limb]) -> t
     """The limbs as a garment is asked about them: under a hood, whose border reaches above the chin, the head looks out in
     front."""
     tops = [float(garment.vertices[loop, 1].max()) for loop, name in zip(garment.openings, expected) if _for_head(name)]
-    return tuple(
-        _looking_out(limb) if limb.name == "head" and max(tops, default=-np.inf) > limb.points[-3][1] else limb
-        for limb in limbs
-    )
+    highest = max(tops, default=-np.inf)
+
+    def hidden(limb: Limb) -> bool:
+        return limb.name == "head" and len(limb.points) > 2 and highest > limb.points[-3][1]
+
+    return tuple(_looking_out(limb) if hidden(limb) else limb for limb in limbs)
 
 
 def _for_head(expected: str) -> bool:

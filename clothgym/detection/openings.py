@@ -19,6 +19,9 @@ from clothgym.rig import Limb
 LEGS = "legs"
 """Name of what goes through a hem or a waist: both legs."""
 
+AND = " + "
+"""Between the names of limbs that go through one opening together."""
+
 
 def crossing_number(loop: ArrayLike, path: ArrayLike) -> int:
     """Signed crossings of a path (M, 3) with the fan of a closed loop (N, 3): +1 along the loop's right-hand normal.
@@ -53,15 +56,31 @@ class Threading:
 
     @property
     def right(self) -> bool:
-        """Exactly the expected limb goes through, once; both legs in the same sense."""
-        wanted = _members(self.expected)
-        numbers = {self.crossings.get(name, 0) for name in wanted}
-        others = [number for name, number in self.crossings.items() if name not in wanted]
-        return len(numbers) == 1 and abs(next(iter(numbers))) == 1 and not any(others)
+        """Exactly what is expected goes through, once, several limbs all in the same sense.
+
+        All limbs begin at one place, inside the chest. An opening around the trunk above it, a strapless top, has head and
+        arms through it instead of the legs: the same, seen from the other side.
+        """
+        wanted = members(self.expected)
+        inside = {self.crossings.get(name, 0) for name in wanted}
+        outside = {number for name, number in self.crossings.items() if name not in wanted} or {0}
+        if len(inside) != 1 or len(outside) != 1:
+            return False
+        (through,), (beside,) = inside, outside
+        return abs(through - beside) == 1 and (beside == 0 or len(wanted) > 1)
 
 
-def _members(expected: str) -> tuple[str, ...]:
-    return ("left_leg", "right_leg") if expected == LEGS else (expected,)
+def members(expected: str) -> tuple[str, ...]:
+    """Names of the limbs that an expectation names."""
+    return ("left_leg", "right_leg") if expected == LEGS else tuple(expected.split(AND))
+
+
+def expectation(limbs: Sequence[str]) -> str:
+    """The name of what goes through an opening: one limb, `LEGS`, or several; what is around the trunk, with head and arms
+    above it, is called `LEGS` too."""
+    if set(limbs) in ({"head", "left_arm", "right_arm"}, {"left_leg", "right_leg"}):
+        return LEGS
+    return AND.join(limbs)
 
 
 def expected_limb(loop: ArrayLike, limbs: Sequence[Limb]) -> str:
@@ -86,10 +105,21 @@ def expected_limb(loop: ArrayLike, limbs: Sequence[Limb]) -> str:
 
 def _distance(point: FloatArray, path: FloatArray) -> float:
     """From a point to a polyline [m]."""
+    return float(np.linalg.norm(_feet(point, path) - point, axis=1).min())
+
+
+def nearest_on(points: FloatArray, path: FloatArray) -> FloatArray:
+    """(N, 3) nearest places on a polyline (M, 3) [m]."""
+    feet = [_feet(point, path) for point in points]
+    return np.array([foot[np.linalg.norm(foot - point, axis=1).argmin()] for point, foot in zip(points, feet)])
+
+
+def _feet(point: FloatArray, path: FloatArray) -> FloatArray:
+    """Nearest places to a point on each piece of a polyline."""
     start, way = path[:-1], np.diff(path, axis=0)
     squared = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
     share = np.clip(np.einsum("ij,ij->i", point - start, way) / squared, 0.0, 1.0)
-    return float(np.linalg.norm(start + share[:, None] * way - point, axis=1).min())
+    return np.asarray(start + share[:, None] * way)
 
 
 def threading(loop: ArrayLike, limbs: Sequence[Limb], expected: str) -> Threading:

@@ -15,7 +15,7 @@ from clothgym.body import Body
 from clothgym.detection.body_mesh import BodyMesh
 from clothgym.detection.openings import Threading, threading
 from clothgym.dressing.draping import Draped
-from clothgym.dressing.worn import expected_limbs
+from clothgym.dressing.worn import expected_limbs, paths
 from clothgym.mesh import Mesh
 from clothgym.rig import Limb
 from clothgym.scene import Cloth, Scene
@@ -165,7 +165,8 @@ def openings(garments: Sequence[Draped], simulation: Simulation, limbs: Sequence
     x, found = np.array(simulation.positions), []
     for garment, (_, vertices, _) in zip(garments, simulation.cloth_ranges):
         expected = expected_limbs(garment.garment, garment.body)
-        found += [threading(x[vertices][loop], limbs, name) for loop, name in zip(garment.garment.openings, expected)]
+        own = paths(garment.garment, expected, limbs)
+        found += [threading(x[vertices][loop], own, name) for loop, name in zip(garment.garment.openings, expected)]
     return found
 
 

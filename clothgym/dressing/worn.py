@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -9,7 +11,8 @@ from scipy.spatial import cKDTree
 from clothgym.arrays import FloatArray, as_points
 from clothgym.body import Body
 from clothgym.detection.body_maps import BodyMaps
-from clothgym.detection.openings import Threading, expected_limb, threading
+from clothgym.detection.openings import LEGS, Threading, expectation, expected_limb, members, threading
+from clothgym.dressing.cut import read
 from clothgym.garment import Garment
 from clothgym.rig import Limb
 
@@ -20,11 +23,25 @@ _AROUND, _MOST_AROUND = 0.01, 200
 """Share of a body's vertices, and their greatest number, that carry a point of a limb's path along."""
 
 
+_NOSE = 0.2
+"""Share of the way from the base of the skull to the crown; hoods cover the brow."""
+
+
 def expected_limbs(garment: Garment, body: Body) -> list[str]:
-    """The limb that each opening is placed around; "body" for a body without a skeleton."""
+    """What belongs through each opening: the limb that it is placed around; "body" for a body without a skeleton.
+
+    Where that would leave a limb without its own way out, or give it two, the cut of the garment tells.
+    """
     if not body.limbs:
         return ["body"] * len(garment.openings)
-    return [expected_limb(garment.vertices[loop], body.limbs) for loop in garment.openings]
+    nearest = [expected_limb(garment.vertices[loop], body.limbs) for loop in garment.openings]
+    if len(set(nearest)) == 1 and (nearest[0] != LEGS or len(nearest) == 2):
+        return nearest  # a cuff, a scarf, a skirt
+    through = [name for opening in nearest for name in members(opening)]
+    if sorted(through) == sorted(limb.name for limb in body.limbs):
+        return nearest
+    told = read(garment).limbs()
+    return nearest if told is None else [expectation(limbs) for limbs in told]
 
 
 def carried_limbs(body: Body, vertices: ArrayLike) -> tuple[Limb, ...]:
@@ -54,7 +71,8 @@ def carried_limbs(body: Body, vertices: ArrayLike) -> tuple[Limb, ...]:
 def threadings(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expected: list[str]) -> list[Threading]:
     """What goes through each opening at x (V, 3); for a body without a skeleton, whether any part of it does."""
     if body.limbs:
-        return [threading(x[loop], body.limbs, name) for loop, name in zip(garment.openings, expected)]
+        limbs = paths(garment, expected, body.limbs)
+        return [threading(x[loop], limbs, name) for loop, name in zip(garment.openings, expected)]
     found = []
     for loop in garment.openings:
         ring = x[loop]
@@ -63,6 +81,29 @@ def threadings(garment: Garment, x: FloatArray, body: Body, maps: BodyMaps, expe
         distances, _ = maps.query(fan.reshape(-1, 3), 0.0)
         found.append(Threading("body", {"body": int(np.isfinite(distances).any())}))
     return found
+
+
+def paths(garment: Garment, expected: Sequence[str], limbs: Sequence[Limb]) -> tuple[Limb, ...]:
+    """The limbs as a garment is asked about them: under a hood, whose border reaches above the chin, the head looks out in
+    front."""
+    tops = [float(garment.vertices[loop, 1].max()) for loop, name in zip(garment.openings, expected) if _for_head(name)]
+    highest = max(tops, default=-np.inf)
+
+    def hidden(limb: Limb) -> bool:
+        return limb.name == "head" and len(limb.points) > 2 and highest > limb.points[-3][1]
+
+    return tuple(_looking_out(limb) if hidden(limb) else limb for limb in limbs)
+
+
+def _for_head(expected: str) -> bool:
+    return "head" in members(expected)
+
+
+def _looking_out(head: Limb) -> Limb:
+    """A head's path that leaves it through the face instead of the crown."""
+    points = np.array(head.points[:-1])
+    points[-1] = points[-2] + _NOSE * (points[-1] - points[-2])
+    return Limb(head.name, np.vstack([points, points[-1] + (0.0, 0.0, 1.0)]), head.start)
 
 
 def slides(garment: Garment, sewn: FloatArray, x: FloatArray) -> list[float]:

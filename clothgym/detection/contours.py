@@ -128,22 +128,15 @@ class Enclosed:
     def __init__(self, hits: Intersections, areas: FloatArray) -> None:
         self.hits = hits
         count = hits.hit_count
-        order, bounds = hits.by_contour
-        loops = np.flatnonzero(hits.loop_vertex >= 0)
-        border = hits.surface.edge_face_count[hits.hit_edge] == 1
-        borders = np.bincount(hits.hit_contour[border], minlength=hits.contour_count)
-        at, wall_bounds = grouped(hits.contour[loops], hits.contour_count)
         cuts = kernels.Cuts(
-            order,
-            bounds,
+            *hits.by_contour,
             hits.hit_edge,
             hits.hit_face,
             hits.hit_side,
-            np.diff(wall_bounds) == 0,
-            ~hits.contour_consistent,
-            wall_bounds,
-            hits.loop_vertex[loops][at],
-            (np.diff(wall_bounds) == 1) & (borders == 1),
+            hits.contour_consistent,
+            hits.contour,
+            hits.second_hit,
+            hits.loop_vertex,
         )
         surface = hits.surface
         component = surface.components

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, inlined, kernel
+from clothgym._jit import bare, device, inlined, kernel
 from clothgym.kernels.primitives import edge_hits_triangle
 from clothgym.kernels.vec3 import cross, dot, length, triangle_normal, unit
 
@@ -244,7 +244,7 @@ def match_hits(order, keys, owners, faces, first, second, pair_faces, hits_per_p
     return pairs
 
 
-@device
+@bare
 def _root(parent, parity, h):
     """Root of h and the parity of the path to it, with path compression."""
     root = h

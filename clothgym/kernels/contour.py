@@ -195,8 +195,17 @@ def place_hits(x, faces, edges, hit_edge, hit_face, parameters, weights, points)
 
 
 @kernel
+def end_count(hit_edge, edge_face_start):
+    """How many ends of segments there are: one per hit and face at its edge."""
+    count = 0
+    for h in range(hit_edge.shape[0]):
+        count += edge_face_start[hit_edge[h] + 1] - edge_face_start[hit_edge[h]]
+    return count
+
+
+@kernel
 def segment_ends(hit_edge, hit_face, edge_face_start, edge_face_ids, face_count, keys, owners):
-    """One entry per hit and face at its edge: the packed face pair and the hit. Returns the number of entries."""
+    """One entry (N,) per hit and face at its edge: the packed face pair and the hit."""
     n = 0
     for h in range(hit_edge.shape[0]):
         face = np.int64(hit_face[h])
@@ -205,25 +214,26 @@ def segment_ends(hit_edge, hit_face, edge_face_start, edge_face_ids, face_count,
             keys[n] = min(face, other) * face_count + max(face, other)
             owners[n] = h
             n += 1
-    return n
 
 
 @kernel
-def match_hits(order, keys, owners, faces, first, second, pair_faces, hits_per_pair, loop_vertex):
-    """Pairs of faces from the ends of `segment_ends` in the `order` (N,) of their keys; returns how many.
+def match_hits(keys, owners, faces, first, second, pair_faces, hits_per_pair, loop_vertex):
+    """Pairs of faces from the ends of `segment_ends`, sorted by their keys (N,), then owners; returns how many.
 
     Writes the two hits of each pair, -1 where there is one only, its faces (S, 2), how many hits it has, and, where that is
     one, the vertex that its faces share, at which the segment ends; -1 where they share none, or more than one.
     """
     pairs = 0
-    for n in range(order.shape[0]):
-        key = keys[order[n]]
-        if n > 0 and key == keys[order[n - 1]]:
+    last = np.int64(-1)
+    for n in range(keys.shape[0]):
+        key = keys[n]
+        if key == last:
             hits_per_pair[pairs - 1] += 1
             if hits_per_pair[pairs - 1] == 2:
-                second[pairs - 1] = owners[order[n]]
+                second[pairs - 1] = owners[n]
             continue
-        first[pairs] = owners[order[n]]
+        last = key
+        first[pairs] = owners[n]
         second[pairs] = -1
         pair_faces[pairs, 0] = key // faces.shape[0]
         pair_faces[pairs, 1] = key % faces.shape[0]
@@ -303,53 +313,76 @@ def join_contours(first, second, hit_face, contour, side, consistent):
     return contours
 
 
-@device
-def edge_direction_sum(x, faces, edges, edge_face_start, edge_face_ids, edge, nx, ny, nz):
-    """S = sum_i R_i: unit directions of the segments that start at this hit, each into its face [Volino 2006, 2.1]."""
-    e0 = edges[edge, 0]
-    e1 = edges[edge, 1]
-    ex, ey, ez, _ = unit(x[e1, 0] - x[e0, 0], x[e1, 1] - x[e0, 1], x[e1, 2] - x[e0, 2])
-    sx = 0.0
-    sy = 0.0
-    sz = 0.0
-    for k in range(edge_face_start[edge], edge_face_start[edge + 1]):
-        b = edge_face_ids[k]
-        mx, my, mz, _ = triangle_normal(x, faces[b, 0], faces[b, 1], faces[b, 2])
-        rx, ry, rz = cross(nx, ny, nz, mx, my, mz)
-        size = length(rx, ry, rz)
-        if size < 1e-15:  # coplanar: no direction of its own
-            continue
-        o = faces[b, 0]
-        if o == e0 or o == e1:
-            o = faces[b, 1]
-        if o == e0 or o == e1:
-            o = faces[b, 2]
-        cx = x[o, 0] - x[e0, 0]
-        cy = x[o, 1] - x[e0, 1]
-        cz = x[o, 2] - x[e0, 2]
-        along = dot(cx, cy, cz, ex, ey, ez)
-        toward = dot(rx, ry, rz, cx - along * ex, cy - along * ey, cz - along * ez)
-        sign = 1.0 if toward > 0.0 else -1.0
-        sx += sign * rx / size
-        sy += sign * ry / size
-        sz += sign * rz / size
-    return sx, sy, sz
+@kernel
+def draw_segments(x, points, first, second, loop_vertex, segments, lengths):
+    """Segments (S, 2, 3) from their first hit to their second one, their loop vertex or nowhere, and their lengths (S,) [m]."""
+    for s in range(first.shape[0]):
+        total = 0.0
+        for c in range(3):
+            start = points[first[s], c]
+            finish = start
+            if loop_vertex[s] >= 0:
+                finish = x[loop_vertex[s], c]
+            elif second[s] >= 0:
+                finish = points[second[s], c]
+            segments[s, 0, c] = start
+            segments[s, 1, c] = finish
+            total += (finish - start) * (finish - start)
+        lengths[s] = math.sqrt(total)
+
+
+@bare
+def _normal(x, faces, face, normals, known):
+    """Unit normal of a face, as `triangle_normal`, kept in normals (F, 3) where it is known (F,)."""
+    if not known[face]:
+        known[face] = True
+        nx, ny, nz, _ = triangle_normal(x, faces[face, 0], faces[face, 1], faces[face, 2])
+        normals[face, 0] = nx
+        normals[face, 1] = ny
+        normals[face, 2] = nz
+    return normals[face, 0], normals[face, 1], normals[face, 2]
 
 
 @kernel
 def hit_frames(x, faces, edges, edge_face_start, edge_face_ids, hit_edge, hit_face, frames):
     """Per hit, frames (H, 8): S (3), N (3), kappa = (E.S)/(E.N) regularised, and kappa unregularised.
 
-    (E.S)/(E.N) is signed: no absolute value anywhere in it.
+    S = sum_i R_i: unit directions of the segments that start at this hit, each into its face [Volino 2006, 2.1]. (E.S)/(E.N)
+    is signed: no absolute value anywhere in it.
     """
+    # a contour meets every face that it passes at some hits in a row
+    normals = np.empty((faces.shape[0], 3), np.float64)
+    known = np.zeros(faces.shape[0], np.bool_)
     for h in range(hit_edge.shape[0]):
         edge = hit_edge[h]
         e0 = edges[edge, 0]
         e1 = edges[edge, 1]
         ex, ey, ez, _ = unit(x[e1, 0] - x[e0, 0], x[e1, 1] - x[e0, 1], x[e1, 2] - x[e0, 2])
-        face = hit_face[h]
-        nx, ny, nz, _ = triangle_normal(x, faces[face, 0], faces[face, 1], faces[face, 2])
-        sx, sy, sz = edge_direction_sum(x, faces, edges, edge_face_start, edge_face_ids, edge, nx, ny, nz)
+        nx, ny, nz = _normal(x, faces, hit_face[h], normals, known)
+        sx = 0.0
+        sy = 0.0
+        sz = 0.0
+        for k in range(edge_face_start[edge], edge_face_start[edge + 1]):
+            b = edge_face_ids[k]
+            mx, my, mz = _normal(x, faces, b, normals, known)
+            rx, ry, rz = cross(nx, ny, nz, mx, my, mz)
+            size = length(rx, ry, rz)
+            if size < 1e-15:  # coplanar: no direction of its own
+                continue
+            o = faces[b, 0]
+            if o == e0 or o == e1:
+                o = faces[b, 1]
+            if o == e0 or o == e1:
+                o = faces[b, 2]
+            cx = x[o, 0] - x[e0, 0]
+            cy = x[o, 1] - x[e0, 1]
+            cz = x[o, 2] - x[e0, 2]
+            along = dot(cx, cy, cz, ex, ey, ez)
+            toward = dot(rx, ry, rz, cx - along * ex, cy - along * ey, cz - along * ez)
+            sign = 1.0 if toward > 0.0 else -1.0
+            sx += sign * rx / size
+            sy += sign * ry / size
+            sz += sign * rz / size
         en = dot(ex, ey, ez, nx, ny, nz)
         es = dot(ex, ey, ez, sx, sy, sz)
         frames[h, 0] = sx

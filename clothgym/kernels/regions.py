@@ -371,20 +371,3 @@ def count_crossings(x, faces, face_start, segments_of_face, segments, first_hit,
                     crossings[contour[a]] += 1
                     if contour[b] != contour[a]:
                         crossings[contour[b]] += 1
-
-
-@kernel
-def outward_normals(x, edges, hit_edge, frames, inside_end, normals):
-    """Per hit, normals (H, 3): that of its face, frames (H, 8), towards the end of its edge that is not inside_end (H,); 0
-    where that is -1."""
-    for h in range(hit_edge.shape[0]):
-        e0 = edges[hit_edge[h], 0]
-        e1 = edges[hit_edge[h], 1]
-        along = 0.0
-        for c in range(3):
-            along += (x[e1, c] - x[e0, c]) * frames[h, 3 + c]
-        along = -along if inside_end[h] == 1 else along
-        sign = 1.0 if along >= 0.0 else -1.0
-        sign = 0.0 if inside_end[h] < 0 else sign
-        for c in range(3):
-            normals[h, c] = sign * frames[h, 3 + c]

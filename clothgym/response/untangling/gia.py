@@ -39,19 +39,13 @@ def _pulls(found: Enclosed, h0: float) -> tuple[np.ndarray, FloatArray, FloatArr
     """Vertices (N, 4) of each pull, an inside one and the face it goes to, their shares (N, 4), the relative displacement
     (N, 3) [m] and the contour (N,)."""
     x, faces = found.hits.vertices, found.hits.surface.faces
-    ids, shares, targets, group = [], [], [], []
-    for region in range(len(found)):
-        vertices, face, weights, distance = found.nearest(region)
-        if len(vertices) == 0:
-            continue
-        corners = faces[face]
-        way = np.einsum("nk,nkc->nc", weights, x[corners]) - x[vertices]
-        size = np.minimum(h0, distance + _BEYOND * h0) / np.maximum(distance, 1e-300)
-        ids.append(np.column_stack([vertices, corners]))
-        shares.append(np.column_stack([np.ones(len(vertices)), -weights]))
-        targets.append(way * size[:, None])
-        group.append(np.full(len(vertices), found.contour[region]))
-    if not ids:
-        return np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0, np.int64)
-    order = np.argsort(np.concatenate(group), kind="stable")
-    return tuple(np.ascontiguousarray(np.concatenate(part)[order]) for part in (ids, shares, targets, group))  # type: ignore[return-value]
+    behind, face, weights, distance = found.way_back
+    vertices, group = found.inside, np.repeat(found.contour, np.diff(found.start))
+    if not behind.all():
+        at = np.repeat(behind, np.diff(found.start))
+        vertices, group, face, weights, distance = (part[at] for part in (vertices, group, face, weights, distance))
+    corners = faces[face]
+    way = np.einsum("nk,nkc->nc", weights, x[corners]) - x[vertices]
+    size = np.minimum(h0, distance + _BEYOND * h0) / np.maximum(distance, 1e-300)
+    ids = np.column_stack([vertices, corners])
+    return ids, np.column_stack([np.ones(len(vertices)), -weights]), way * size[:, None], group

@@ -148,7 +148,7 @@ class Enclosed:
             hits.hit_side,
             hits.contour_consistent,
             hits.contour,
-            hits.second_hit,
+            hits.hits_per_pair,
             hits.loop_vertex,
         )
         surface = hits.surface

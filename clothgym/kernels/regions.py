@@ -22,8 +22,8 @@ class Cuts(NamedTuple):
     side: NDArray  # (H,) +1 or -1
     consistent: NDArray  # (C,) bool: the sides of a contour can be told apart
     contour: NDArray  # (S,)
-    second_hit: NDArray  # (S,) -1 = none
-    loop_vertex: NDArray  # (S,) at which a segment without a second hit ends, -1 = none
+    hits_per_pair: NDArray  # (S,) two, but where a segment ends otherwise than at a second hit
+    loop_vertex: NDArray  # (S,) at which it does, -1 = none
 
 
 class Graph(NamedTuple):
@@ -60,7 +60,8 @@ class Ends(NamedTuple):
 
     wall_start: NDArray  # (C + 1,)
     walls: NDArray  # loop vertices of each contour, through which no flood passes
-    borders: NDArray  # (C,) hits on a border
+    borders: NDArray  # (C,) how many of its hits lie on a border
+    border_hits: NDArray  # (C, 2) the first of them
     simple: NDArray  # (C,) bool: a line from border to border that meets no seam and misses no hit
 
 
@@ -69,36 +70,43 @@ def _ends(cuts, graph):
     """How contours end."""
     contours = cuts.bounds.shape[0] - 1
     borders = np.zeros(contours, np.int64)
+    border_hits = np.empty((contours, 2), np.int64)
     simple = np.ones(contours, np.bool_)
-    segments = np.zeros(contours, np.int64)
-    wall_start = np.zeros(contours + 1, np.int64)
     for c in range(contours):
         for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
             e = cuts.edge[cuts.order[n]]
             degree = graph.edge_face_start[e + 1] - graph.edge_face_start[e]
-            borders[c] += degree == 1
-            simple[c] &= degree < 3
+            if degree == 2:
+                continue
+            if degree > 2:
+                simple[c] = False
+                continue
+            if borders[c] < 2:
+                border_hits[c, borders[c]] = cuts.order[n]
+            borders[c] += 1
+    wall_start = np.zeros(contours + 1, np.int64)
     for s in range(cuts.contour.shape[0]):
+        if cuts.hits_per_pair[s] == 2:
+            continue
         c = cuts.contour[s]
-        segments[c] += 1
-        simple[c] &= cuts.second_hit[s] >= 0
+        simple[c] = False
         wall_start[c + 1] += cuts.loop_vertex[s] >= 0
     for c in range(contours):
-        # with every segment between two hits, and one less of them than hits, it is a line and no ring
-        simple[c] &= borders[c] == 2 and segments[c] == cuts.bounds[c + 1] - cuts.bounds[c] - 1
+        simple[c] &= borders[c] == 2
         wall_start[c + 1] += wall_start[c]
     walls = np.empty(wall_start[contours], np.int64)
-    filled = wall_start.copy()
-    for s in range(cuts.contour.shape[0]):
-        if cuts.loop_vertex[s] >= 0:
-            c = cuts.contour[s]
-            walls[filled[c]] = cuts.loop_vertex[s]
-            filled[c] += 1
-    return Ends(wall_start, walls, borders, simple)
+    if len(walls) > 0:
+        filled = wall_start.copy()
+        for s in range(cuts.contour.shape[0]):
+            if cuts.loop_vertex[s] >= 0:
+                c = cuts.contour[s]
+                walls[filled[c]] = cuts.loop_vertex[s]
+                filled[c] += 1
+    return Ends(wall_start, walls, borders, border_hits, simple)
 
 
 @device
-def _leaks(cuts, graph, c, side, cut):
+def _leaks(cuts, graph, ends, c, side, cut):
     """Whether a simple contour that cuts no edge of this side twice is known to cut nothing off there.
 
     It ends inside the surface of this side where a border of the other pierces it. A face that it ends in joins both ends of
@@ -106,10 +114,9 @@ def _leaks(cuts, graph, c, side, cut):
     lie on the same side of it: together, all ends of all cut edges.
     """
     free = 0
-    for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-        h = cuts.order[n]
-        e = cuts.edge[h]
-        if cuts.side[h] == side or graph.edge_face_start[e + 1] - graph.edge_face_start[e] > 1:
+    for n in range(2):
+        h = ends.border_hits[c, n]
+        if cuts.side[h] == side:
             continue
         f = cuts.face[h]
         if np.int64(cut[graph.face_edges[f, 0]]) + cut[graph.face_edges[f, 1]] + cut[graph.face_edges[f, 2]] != 1:
@@ -171,6 +178,7 @@ def flood(cuts, graph, found, members):
     cut = np.zeros(graph.edges.shape[0], np.bool_)
     label = np.full(vertices, -1, np.int32)
     queue = np.empty(vertices, np.int32)
+    mine = np.empty(hits, np.int64)
     parent = np.empty(2 * hits, np.int32)
     growing = np.empty(2 * hits, np.int64)
     area = np.empty(2 * hits, np.float64)
@@ -201,29 +209,29 @@ def flood(cuts, graph, found, members):
         # each side is flooded for itself, but where they meet at a loop vertex all cuts work together
         for group in range(2 if walls == 0 else 1):
             side = 0.0 if walls > 0 else (1.0 if group == 0 else -1.0)
-            twice = False
+            count = 0
             for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                h = cuts.order[n]
-                if side == 0.0 or cuts.side[h] == side:
-                    twice |= cut[cuts.edge[h]]
-                    cut[cuts.edge[h]] = not cut[cuts.edge[h]]
-            if ends.simple[c] and not twice and _leaks(cuts, graph, c, side, cut):
-                for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                    cut[cuts.edge[cuts.order[n]]] = False
+                mine[count] = cuts.order[n]
+                count += side == 0.0 or cuts.side[cuts.order[n]] == side
+            twice = False
+            for n in range(count):
+                e = cuts.edge[mine[n]]
+                twice |= cut[e]
+                cut[e] = not cut[e]
+            if ends.simple[c] and not twice and _leaks(cuts, graph, ends, c, side, cut):
+                for n in range(count):
+                    cut[cuts.edge[mine[n]]] = False
                 continue
             extended = 0
-            reaching = walls == 1 and ends.borders[c] == 1
-            for n in range(cuts.bounds[c], cuts.bounds[c + 1] if reaching else cuts.bounds[c]):
-                e = cuts.edge[cuts.order[n]]
-                if graph.edge_face_start[e + 1] - graph.edge_face_start[e] == 1:
-                    extended = _reach_border(cuts.face[cuts.order[n]], graph, cut, c, seen, way, came, extra)
+            if walls == 1 and ends.borders[c] == 1:
+                extended = _reach_border(cuts.face[ends.border_hits[c, 0]], graph, cut, c, seen, way, came, extra)
             for n in range(extended):
                 cut[extra[n]] = True
             seeds = 0
             tail = 0
-            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                h = cuts.order[n]
-                if (side != 0.0 and cuts.side[h] != side) or not cut[cuts.edge[h]]:
+            for n in range(count):
+                h = mine[n]
+                if not cut[cuts.edge[h]]:
                     continue
                 for end in range(2):
                     v = graph.edges[cuts.edge[h], end]
@@ -281,10 +289,10 @@ def flood(cuts, graph, found, members):
                 if unfinished >= 0:
                     total = graph.component_areas[graph.component[queue[0]]]
                     area[unfinished] = max(total - closed, 0.0)
-                for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                    h = cuts.order[n]
+                for n in range(count):
+                    h = mine[n]
                     e = cuts.edge[h]
-                    if (side != 0.0 and cuts.side[h] != side) or not cut[e]:
+                    if not cut[e]:
                         continue
                     if label[graph.edges[e, 0]] < 0 or label[graph.edges[e, 1]] < 0:
                         continue
@@ -324,8 +332,8 @@ def flood(cuts, graph, found, members):
                     sizes[root] += 1
             for n in range(tail):
                 label[queue[n]] = -1
-            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                cut[cuts.edge[cuts.order[n]]] = False
+            for n in range(count):
+                cut[cuts.edge[mine[n]]] = False
             for n in range(extended):
                 cut[extra[n]] = False
         for w in range(ends.wall_start[c], ends.wall_start[c + 1]):

@@ -434,6 +434,16 @@ def test_strided_input_is_neither_changed_nor_misread():
     assert np.array_equal(faces, kept_faces)
 
 
+@pytest.mark.parametrize("name", ["many_sheets", "crumple-1", "seam_of_three-1"])
+def test_pairs_too_many_for_one_number_are_sorted_the_same(name, monkeypatch):
+    mesh = (meshes.GENERAL | {"many_sheets": lambda: meshes.many_sheets(5, 5, 0)})[name]()
+    one, other = cg.intersections(*mesh), cg.intersections(*mesh)
+    assert one.hit_count > 5 and one.contour_count > 0
+    monkeypatch.setattr("clothgym.detection.intersections._LARGEST", 0)
+    for attribute in ("first_hit", "second_hit", "loop_vertex", "pair_faces", "hits_per_pair", "hit_contour"):
+        assert (getattr(other, attribute) == getattr(one, attribute)).all()
+
+
 def test_same_input_same_bits():
     vertices, faces = meshes.crumple(8, 1)
     first, second = cg.intersections(vertices, faces), cg.intersections(vertices, faces)

@@ -254,9 +254,7 @@ class Enclosed:
     def way_back(self) -> WayBack:
         """Where the vertices of all regions would go back through."""
         hits, count = self.hits, len(self._members)
-        found = WayBack(
-            np.empty(len(self), np.bool_), np.zeros(count, np.int32), np.zeros((count, 3)), np.zeros(count)
-        )
+        found = WayBack(np.empty(len(self), np.bool_), np.zeros(count, np.int32), np.zeros((count, 3)), np.zeros(count))
         around = pushes.Around(*hits.by_contour, hits.hit_face, hits.hit_side, *hits.surface.faces_around)
         pushes.nearest_behind(hits.vertices, hits.surface.faces, around, self.regions, *found)
         return found

@@ -16,7 +16,6 @@ from clothgym.response.untangling.base import (
     Corrections,
     contour_gradients,
     displacements,
-    enclosed,
     marked,
     together,
 )
@@ -30,7 +29,7 @@ class Area:
 
     def propose(self, context: Context) -> Corrections:
         hits = context.intersections
-        found = enclosed(context)
+        found = context.enclosed
         slopes, has = area_gradients(found)
         totals = contour_gradients(context)
         lengths = np.maximum(hits.contour_lengths, 1e-300)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,11 @@ class Context:
     h0: float
     g0: float
     memory: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def enclosed(self) -> Enclosed:
+        """The regions that contours cut off, by rest area; found when first asked for."""
+        return Enclosed(self.intersections, self.areas)
 
 
 @dataclass(frozen=True)
@@ -101,11 +107,6 @@ def local_targets(context: Context) -> FloatArray:
     targets = np.empty((hits.hit_count, 3))
     kernels.local_targets(hits.frames, context.h0, context.g0, targets)
     return targets
-
-
-def enclosed(context: Context) -> Enclosed:
-    """The regions that contours cut off, by rest area."""
-    return Enclosed(context.intersections, context.areas)
 
 
 def marked(count: int, vertices: np.ndarray) -> BoolArray:

@@ -8,11 +8,12 @@ surface-flattening methods"].
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray
 from clothgym.detection.contours import Enclosed
 from clothgym.kernels import untangling as kernels
-from clothgym.response.untangling.base import Context, Corrections, displacements, enclosed, marked
+from clothgym.response.untangling.base import Context, Corrections, displacements, marked
 from clothgym.response.untangling.hybrid import hybrid_targets
 
 _ENOUGH = 1.2
@@ -27,7 +28,7 @@ class Flatten:
     end there push no further than their regions reach, because beside a fold everything is near the wrong side."""
 
     def propose(self, context: Context) -> Corrections:
-        found = enclosed(context)
+        found = context.enclosed
         targets = hybrid_targets(context, found)
         loops = np.flatnonzero(context.intersections.loop_vertex >= 0)
         if len(loops) == 0:

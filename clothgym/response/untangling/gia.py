@@ -11,7 +11,7 @@ import numpy as np
 from clothgym.arrays import FloatArray
 from clothgym.detection.contours import Enclosed
 from clothgym.kernels import untangling as kernels
-from clothgym.response.untangling.base import Context, Corrections, enclosed, marked
+from clothgym.response.untangling.base import Context, Corrections, marked
 
 _BEYOND = 0.1
 """Share of h0 that a vertex is pulled beyond the surface: on it, it would still be in the way."""
@@ -24,7 +24,7 @@ class GlobalIntersectionAnalysis:
 
     def propose(self, context: Context) -> Corrections:
         hits = context.intersections
-        found = enclosed(context)
+        found = context.enclosed
         total = np.zeros_like(hits.vertices)
         ids, shares, targets, group = _pulls(found, context.h0)
         if len(ids):
@@ -40,10 +40,10 @@ def _pulls(found: Enclosed, h0: float) -> tuple[np.ndarray, FloatArray, FloatArr
     (N, 3) [m] and the contour (N,)."""
     x, faces = found.hits.vertices, found.hits.surface.faces
     behind, face, weights, distance = found.way_back
-    vertices, group = found.inside, np.repeat(found.contour, np.diff(found.start))
-    if not behind.all():
-        at = np.repeat(behind, np.diff(found.start))
-        vertices, group, face, weights, distance = (part[at] for part in (vertices, group, face, weights, distance))
+    sizes = np.diff(found.start)
+    at = np.repeat(behind, sizes)
+    vertices, group = found.inside[at], np.repeat(found.contour, sizes)[at]
+    face, weights, distance = face[at], weights[at], distance[at]
     corners = faces[face]
     way = np.einsum("nk,nkc->nc", weights, x[corners]) - x[vertices]
     size = np.minimum(h0, distance + _BEYOND * h0) / np.maximum(distance, 1e-300)

@@ -14,7 +14,6 @@ from clothgym.response.untangling.base import (
     Context,
     Corrections,
     displacements,
-    enclosed,
     global_targets,
     marked,
 )
@@ -24,7 +23,7 @@ class Hybrid:
     """Where the two ends of a cut edge lie in different regions, the end in the smaller one is inside and goes back."""
 
     def propose(self, context: Context) -> Corrections:
-        found = enclosed(context)
+        found = context.enclosed
         moved = displacements(context, hybrid_targets(context, found))
         return Corrections(moved, marked(len(moved), found.inside))
 

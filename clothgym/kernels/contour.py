@@ -23,14 +23,8 @@ _EXACT = 1e-9
 
 
 @inlined
-def _look_at(x, e0, e1, a0, a1, a2):
-    """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
-    predicates.
-
-    It passes by on one side of the face's plane or of one across the line of their centres, or outside the three sides of the
-    face; it hits if its ends lie on both sides of the plane and its line within all three sides. Branch-free; in flat
-    neighbourhoods, where every determinant is a tie, it is the line of the centres that tells.
-    """
+def _from_corner(x, e0, e1, a0, a1, a2):
+    """From the first corner of a face: its other corners and the ends of an edge; and the sum of all their sizes."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -43,11 +37,24 @@ def _look_at(x, e0, e1, a0, a1, a2):
     qx = x[e1, 0] - x[a0, 0]
     qy = x[e1, 1] - x[a0, 1]
     qz = x[e1, 2] - x[a0, 2]
+    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
+    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
+    return ux, uy, uz, wx, wy, wz, px, py, pz, qx, qy, qz, size
+
+
+@inlined
+def _look_at(x, e0, e1, a0, a1, a2):
+    """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
+    predicates.
+
+    It passes by on one side of the face's plane or of one across the line of their centres, or outside the three sides of the
+    face; it hits if its ends lie on both sides of the plane and its line within all three sides. Branch-free; in flat
+    neighbourhoods, where every determinant is a tie, it is the line of the centres that tells.
+    """
+    ux, uy, uz, wx, wy, wz, px, py, pz, qx, qy, qz, size = _from_corner(x, e0, e1, a0, a1, a2)
     mx = 3.0 * (px + qx) - 2.0 * (ux + wx)
     my = 3.0 * (py + qy) - 2.0 * (uy + wy)
     mz = 3.0 * (pz + qz) - 2.0 * (uz + wz)
-    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
-    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
     low = dot(mx, my, mz, px, py, pz)
     other = dot(mx, my, mz, qx, qy, qz)
     low = low if low < other else other
@@ -137,20 +144,7 @@ def _in_plane_parameter(x, e0, e1, a0, a1, a2):
 def _volumes(x, e0, e1, a0, a1, a2):
     """Of a hit: whether these suffice, volumes under the face of e0 and e1 and those of the face's sides around the edge,
     opposite a0, a1, a2 [m^3]; by a safe margin all have the signs that exact ones have."""
-    ux = x[a1, 0] - x[a0, 0]
-    uy = x[a1, 1] - x[a0, 1]
-    uz = x[a1, 2] - x[a0, 2]
-    wx = x[a2, 0] - x[a0, 0]
-    wy = x[a2, 1] - x[a0, 1]
-    wz = x[a2, 2] - x[a0, 2]
-    px = x[e0, 0] - x[a0, 0]
-    py = x[e0, 1] - x[a0, 1]
-    pz = x[e0, 2] - x[a0, 2]
-    qx = x[e1, 0] - x[a0, 0]
-    qy = x[e1, 1] - x[a0, 1]
-    qz = x[e1, 2] - x[a0, 2]
-    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
-    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
+    ux, uy, uz, wx, wy, wz, px, py, pz, qx, qy, qz, size = _from_corner(x, e0, e1, a0, a1, a2)
     margin = _EXACT * size * size * size
     nx, ny, nz = cross(ux, uy, uz, wx, wy, wz)
     low = dot(nx, ny, nz, px, py, pz)

@@ -281,11 +281,15 @@ def test_a_ribbon_that_drifts_out_late_is_not_out_in_time() -> None:
 
 def test_overhead_names_its_parts() -> None:
     found = overhead.run(
-        {"scene": "squares", "settings": SETTINGS, "strategy": "global", "seed": 0, "steps": 0, "repeats": 1}
+        {"scene": "squares", "settings": SETTINGS, "strategy": "hybrid", "seed": 0, "steps": 0, "repeats": 1}
     )
     assert found["hits"] > 20
-    assert set(found["seconds"]) == {"candidates", "tests", "contours", "response", "step"}
+    assert set(found["seconds"]) == {"candidates", "tests", "contours", "response", "regions", "step"}
     assert all(seconds > 0.0 for seconds in found["seconds"].values())
+    found = overhead.run(
+        {"scene": "squares", "settings": SETTINGS, "strategy": "global", "seed": 0, "steps": 0, "repeats": 1}
+    )
+    assert found["seconds"]["regions"] == 0.0 < found["seconds"]["response"], "length needs no regions"
     with pytest.raises(ValueError, match="costs nothing"):
         overhead.run(
             {"scene": "squares", "settings": SETTINGS, "strategy": "none", "seed": 0, "steps": 0, "repeats": 1}

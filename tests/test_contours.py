@@ -10,6 +10,7 @@ import naive_contours
 import networkx as nx
 import numpy as np
 import pytest
+import trimesh
 
 import clothgym as cg
 from clothgym.detection.contours import KINDS, Enclosed
@@ -189,6 +190,74 @@ def test_small_contours_on_large_meshes_are_cheap():
         found.append((len(enclosed), len(enclosed.inside)))
     assert found[0] == found[1]
     assert found[0][1] == 1
+
+
+def slit_tube_through_sheet(width: float) -> meshes.Mesh:
+    """A tube that is open along a slit goes through a sheet: its contour ends twice in the inside of the sheet."""
+    around = np.linspace(0.5 * width, 2.0 * np.pi - 0.5 * width, 30) + 0.1
+    rings = [np.stack([0.3 * np.cos(around), np.full(30, y), 0.3 * np.sin(around)], axis=1) for y in (-0.21, 0.24)]
+    low = np.arange(29)
+    faces = np.concatenate(
+        [np.stack([low, low + 1, low + 30], axis=1), np.stack([low + 1, low + 31, low + 30], axis=1)]
+    )
+    sheet = meshes.moved(meshes.grid(8, 8), None, (-0.513, 0.0, -0.492))
+    return meshes.merged(sheet, (np.concatenate(rings), faces))
+
+
+def test_a_side_has_regions_exactly_where_its_cut_edges_separate():
+    """Crumpled sheets through each other: most contours end inside a sheet. So do those of tubes with a slit, but they cut off
+    the inner vertices all the same where both ends lie in one face."""
+    count = Counter()
+    crumples = [meshes.moved(meshes.crumple(9, n, 0.2), meshes.rotation(7 * (n // 4) + n % 4)) for n in range(24)]
+    tangles = [meshes.merged(*crumples[n : n + 4]) for n in range(0, 24, 4)]
+    for number, mesh in enumerate([*tangles, slit_tube_through_sheet(0.02), slit_tube_through_sheet(1.0)]):
+        hits = cg.intersections(*mesh)
+        found = Enclosed(hits, np.ones(len(hits.vertices)))
+        edges = [tuple(edge) for edge in hits.surface.edges.tolist()]
+        loops = set(hits.contour[hits.loop_vertex >= 0].tolist())
+        for c in set(range(hits.contour_count)) - loops:
+            for side in (1.0, -1.0):
+                crossed = hits.hit_edge[(hits.hit_contour == c) & (hits.hit_side == side)].tolist()
+                cut = {edges[e] for e, times in Counter(crossed).items() if times % 2}
+                graph = nx.Graph(edge for edge in edges if edge not in cut)
+                graph.add_nodes_from(range(len(hits.vertices)))
+                label = {v: n for n, part in enumerate(nx.connected_components(graph)) for v in part}
+                separates = bool(hits.contour_consistent[c]) and any(label[a] != label[b] for a, b in cut)
+                assert separates == (side in found.side[found.of_contour[c]])
+                count[separates] += 1
+                if number >= len(tangles):
+                    tube = edges[crossed[0]][0] >= 81
+                    assert separates == (tube or number == len(tangles))
+    assert count[True] > 10 and count[False] > 30
+
+
+@pytest.mark.parametrize("name", ["Closed", "BBII", "BLI", "LL", "crumple-1", "sheets"])
+def test_ways_back_are_the_shortest_to_what_a_region_lies_behind(name):
+    mesh = (KIND | meshes.GENERAL | {"sheets": lambda: meshes.many_sheets(6, 6, 1)})[name]()
+    hits = cg.intersections(*mesh)
+    found = Enclosed(hits, vertex_areas(hits.vertices, hits.surface.faces))
+    faces = hits.surface.faces
+    assert len(found) > 0
+    for region in range(len(found)):
+        c, side, own = found.contour[region], found.side[region], set(found.vertices(region).tolist())
+        across = {v for r in found.of_contour[c] if found.side[r] != side for v in found.vertices(r).tolist()}
+        here = (hits.hit_contour == c) & ((side == 0.0) | (hits.hit_side == side))
+        patch = {f for f, corners in enumerate(faces.tolist()) if across & set(corners)}
+        patch |= set(hits.hit_face[here].tolist())
+        enough = any if side == 0.0 else all
+        patch = sorted(f for f in patch if not enough(v in own for v in faces[f].tolist()))
+        vertices, nearest, weights, distance = found.nearest(region)
+        if not patch:
+            assert len(vertices) == 0
+            continue
+        assert vertices.tolist() == found.vertices(region).tolist()
+        assert set(nearest.tolist()) <= set(patch)
+        corners = hits.vertices[faces]
+        reached = np.einsum("nk,nkc->nc", weights, corners[nearest])
+        assert np.linalg.norm(reached - hits.vertices[vertices], axis=1) == pytest.approx(distance, abs=1e-12)
+        for v, gap in zip(vertices, distance, strict=True):
+            points = trimesh.triangles.closest_point(corners[patch], np.tile(hits.vertices[v], (len(patch), 1)))
+            assert gap == pytest.approx(np.linalg.norm(points - hits.vertices[v], axis=1).min(), rel=1e-9, abs=1e-12)
 
 
 def test_faces_around_every_vertex():

@@ -376,3 +376,13 @@ def test_scene_of_medium_size_equals_exact():
     assert len(faces) == 1600
     assert len(exact.hits) > 300
     assert_equals_exact(cg.intersections(vertices, faces), exact)
+
+
+@pytest.mark.parametrize("name", ["many_sheets", "crumple-1", "seam_of_three-1"])
+def test_pairs_too_many_for_one_number_are_sorted_the_same(name, monkeypatch):
+    mesh = (meshes.GENERAL | {"many_sheets": lambda: meshes.many_sheets(5, 5, 0)})[name]()
+    one, other = cg.intersections(*mesh), cg.intersections(*mesh)
+    assert one.hit_count > 5 and one.contour_count > 0
+    monkeypatch.setattr("clothgym.detection.intersections._LARGEST", 0)
+    for attribute in ("first_hit", "second_hit", "loop_vertex", "pair_faces", "hits_per_pair", "hit_contour"):
+        assert (getattr(other, attribute) == getattr(one, attribute)).all()

@@ -17,6 +17,7 @@ from clothgym.response.untangling import Corrections
 from clothgym.response.untangling.area import area_gradients
 from clothgym.response.untangling.coherence import coherence
 from clothgym.response.untangling.exact import Exact
+from clothgym.response.untangling.hybrid import hybrid_targets
 from clothgym.scenes.canonical import draw
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -252,6 +253,52 @@ def test_area_gradient_of_known_shapes():
     radius = 0.5 * np.ptp(ball[:, 0])
     expected = 2.0 * np.pi * (radius + radius - 0.3)
     assert area_slopes((vertices, faces))[1] == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("name", [*MESHES, "several"])
+def test_area_gradients_and_pushes_equal_their_sums_hit_by_hit(name):
+    context = context_of(meshes.many_sheets(8, 6, 3) if name == "several" else mesh_of(name))
+    hits, found = context.intersections, context.enclosed
+    x, faces = hits.vertices, hits.surface.faces
+
+    def normal(face) -> np.ndarray:
+        a, b, c = x[faces[face]]
+        n = np.cross(b - a, c - a)
+        return n / np.linalg.norm(n)
+
+    inside = {
+        (c, s): {v for r in found.of_contour[c] if found.side[r] in (0, s) for v in found.vertices(r).tolist()}
+        for c in range(hits.contour_count)
+        for s in (1, -1)
+    }
+    slopes = np.zeros((hits.contour_count, 3))
+    for s in range(len(hits.contour)):
+        h, c = hits.first_hit[s], hits.contour[s]
+        a, side = hits.hit_face[h], int(hits.hit_side[h])
+        b = hits.pair_faces[s].sum() - a
+        weight = hits.segment_lengths[s] / max(np.linalg.norm(np.cross(normal(a), normal(b))), 0.1)
+        for face, other, own in ((b, normal(a), side), (a, normal(b), -side)):
+            within = np.array([v in inside[c, own] for v in faces[face].tolist()])
+            if within.any() and not within.all():
+                way = x[faces[face][~within]].mean(axis=0) - x[faces[face][within]].mean(axis=0)
+                slopes[c] += weight * own * np.sign(other @ way) * other
+    computed, has = area_gradients(found)
+    assert has.tolist() == [len(regions) > 0 for regions in found.of_contour]
+    assert computed[has] == pytest.approx(slopes[has], rel=1e-9, abs=1e-12)
+    assert not computed[~has].any()
+
+    expected = untangling.base.global_targets(context)
+    for c in range(hits.contour_count):
+        members = np.flatnonzero(hits.hit_contour == c)
+        ways = {}
+        for h in members[found.inside_end[members] >= 0]:
+            out = np.diff(x[hits.surface.edges[hits.hit_edge[h]]], axis=0)[0] * (1 - 2 * found.inside_end[h])
+            ways[h] = normal(hits.hit_face[h]) * np.sign(out @ normal(hits.hit_face[h]))
+        if ways:
+            mean = sum(hits.hit_side[h] * way for h, way in ways.items())
+            for h in members:
+                expected[h] = context.h0 * ways.get(h, hits.hit_side[h] * mean / np.linalg.norm(mean))
+    assert hybrid_targets(context, found) == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_what_cuts_nothing_off_has_no_slope_of_area():

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clothgym.arrays import FloatArray, IntArray
+from clothgym.arrays import BoolArray, FloatArray, IntArray
+from clothgym.kernels import pushes
 from clothgym.kernels import regions as kernels
-from clothgym.kernels import sides
 from clothgym.mesh import vertex_areas
 
 if TYPE_CHECKING:
@@ -104,6 +104,19 @@ def grouped(group: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], ND
     return np.argsort(group.astype(np.uint16) if count <= 1 << 16 else group, kind="stable"), bounds
 
 
+class WayBack(NamedTuple):
+    """Where the M vertices of R regions would go back through: the nearest point of what their region lies behind.
+
+    That is the faces that the contour pierces on the region's side, and those of the regions on its other side, without the
+    region's own.
+    """
+
+    behind: BoolArray  # (R,) whether there is any such face
+    face: IntArray  # (M,)
+    weights: FloatArray  # (M, 3)
+    distance: FloatArray  # (M,) [m]
+
+
 class Enclosed:
     """Regions that the contours of an intersection cut off, found by flood fill [Baraff 2003].
 
@@ -128,22 +141,15 @@ class Enclosed:
     def __init__(self, hits: Intersections, areas: FloatArray) -> None:
         self.hits = hits
         count = hits.hit_count
-        order, bounds = hits.by_contour
-        loops = np.flatnonzero(hits.loop_vertex >= 0)
-        border = hits.surface.edge_face_count[hits.hit_edge] == 1
-        borders = np.bincount(hits.hit_contour[border], minlength=hits.contour_count)
-        at, wall_bounds = grouped(hits.contour[loops], hits.contour_count)
         cuts = kernels.Cuts(
-            order,
-            bounds,
+            *hits.by_contour,
             hits.hit_edge,
             hits.hit_face,
             hits.hit_side,
-            np.diff(wall_bounds) == 0,
-            ~hits.contour_consistent,
-            wall_bounds,
-            hits.loop_vertex[loops][at],
-            (np.diff(wall_bounds) == 1) & (borders == 1),
+            hits.contour_consistent,
+            hits.contour,
+            hits.hits_per_pair,
+            hits.loop_vertex,
         )
         surface = hits.surface
         component = surface.components
@@ -183,6 +189,8 @@ class Enclosed:
     def _contradictions(self) -> list[int]:
         """Regions that push the other way than the region on the other side of their contour, and are the larger share of
         their surface: the part that went through exceeds half of it, and the rest was taken for it."""
+        if not (self.contour[1:] == self.contour[:-1]).any():
+            return []
         both = [
             pair
             for pair in self.of_contour
@@ -230,54 +238,37 @@ class Enclosed:
             listed[contour].append(region)
         return listed
 
+    @property
+    def regions(self) -> pushes.Regions:
+        """All of them, as kernels read them."""
+        return pushes.Regions(self.contour, self.side, self.start, self._members)
+
     def outward(self) -> FloatArray:
         """(H, 3) unit normal of each hit's face, towards the outer end of its edge; 0 where nothing is cut off."""
         hits = self.hits
         normals = np.empty((hits.hit_count, 3))
-        kernels.outward_normals(hits.vertices, hits.surface.edges, hits.hit_edge, hits.frames, self.inside_end, normals)
+        pushes.outward_normals(hits.vertices, hits.surface.edges, hits.hit_edge, hits.frames, self.inside_end, normals)
         return normals
 
-    def patch(self, region: int) -> IntArray:
-        """Faces of the surface that a region lies behind: those that the contour pierces on its side, and those of the regions
-        on the other side. Without the region's own faces."""
-        hits, surface = self.hits, self.hits.surface
-        order, bounds = hits.by_contour
-        c, side = self.contour[region], self.side[region]
-        members = order[bounds[c] : bounds[c + 1]]
-        if side != 0.0:
-            members = members[hits.hit_side[members] == side]
-        start, around = surface.faces_around
-        across = [v for other in self.of_contour[c] if self.side[other] != side for v in self.vertices(other).tolist()]
-        chosen = np.unique(np.concatenate([hits.hit_face[members], *(around[start[v] : start[v + 1]] for v in across)]))
-        inside = np.zeros(surface.vertex_count, np.bool_)
-        inside[self.vertices(region)] = True
-        own = inside[surface.faces[chosen]]
-        faces: IntArray = chosen[~(own.any(axis=1) if side == 0.0 else own.all(axis=1))]
-        return faces
-
     @cached_property
-    def _places(self) -> FloatArray:
-        """(V + M, 3) [m] of all vertices, then of those of all regions."""
-        return np.concatenate([self.hits.vertices, self.hits.vertices[self._members]])
+    def way_back(self) -> WayBack:
+        """Where the vertices of all regions would go back through."""
+        hits, count = self.hits, len(self._members)
+        found = WayBack(np.empty(len(self), np.bool_), np.zeros(count, np.int32), np.zeros((count, 3)), np.zeros(count))
+        around = pushes.Around(*hits.by_contour, hits.hit_face, hits.hit_side, *hits.surface.faces_around)
+        pushes.nearest_behind(hits.vertices, hits.surface.faces, around, self.regions, *found)
+        return found
 
     def nearest(self, region: int) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
         """Where a region's vertices would go back through.
 
         Returns:
-            Its vertices (N,), for each the nearest face (N,) of `patch`, the weights (N, 3) of the nearest point and its
-            distance (N,) [m]; empty without a patch.
+            Its vertices (N,), for each the nearest face (N,) of what they lie behind, the weights (N, 3) of the nearest point
+            and its distance (N,) [m]; empty where they lie behind nothing.
         """
-        vertices, faces = self.vertices(region), self.patch(region)
-        if len(faces) == 0:
-            return vertices[:0], vertices[:0], np.zeros((0, 3)), np.zeros(0)
-        triangles = np.ascontiguousarray(self.hits.surface.faces[faces])
-        points, first = self._places, len(self.hits.vertices) + self.start[region]
-        boxes, blocks = np.empty((len(faces), 6)), np.empty((-(-len(faces) // sides.BLOCK), 6))
-        sides.face_boxes(points, triangles, boxes, blocks)
-        face, weights = np.zeros(len(vertices), np.int32), np.zeros((len(vertices), 3))
-        distance = np.zeros(len(vertices))
-        sides.closest_faces(points, first, triangles, boxes, blocks, face, weights, distance)
-        return vertices, faces[face], weights, distance
+        behind, face, weights, distance = self.way_back
+        at = slice(self.start[region], self.start[region + 1] if behind[region] else self.start[region])
+        return self._members[at], face[at], weights[at], distance[at]
 
 
 def described(hits: Intersections) -> list[Contour]:

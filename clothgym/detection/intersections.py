@@ -22,6 +22,9 @@ _K, _ARITY = 6, 16
 _WORN = 1.5
 """A surface's own tree is made anew when it takes this many times the tests that it took when new, pair for pair."""
 
+_LARGEST = 1 << 63
+"""Numbers from here on have no place in 64 bits with a sign."""
+
 _PLACED = {"parameters", "weights", "points"}
 """Attributes of `Intersections` that are made together at first use."""
 
@@ -114,17 +117,16 @@ class Intersections:
     def _join(self) -> None:
         """Pairs of faces and contours from the hits."""
         s, found = self.surface.arrays, self.hit_count
-        per_hit = np.diff(s.edge_face_start)[self.hit_edge]
-        ends = int(per_hit.sum())
-        keys, owners = np.empty(ends, np.int64), np.empty(ends, np.int64)
+        ends = int(contour_kernels.end_count(self.hit_edge, s.edge_face_start))
         face_count = max(len(s.faces), 1)
+        keys, owners = np.empty(ends, np.int64), np.empty(ends, np.int64)
         contour_kernels.segment_ends(
             self.hit_edge, self.hit_face, s.edge_face_start, s.edge_face_ids, face_count, keys, owners
         )
+        keys, owners = _by_pair(keys, owners, face_count**2, found)
         first, second, loop = (np.empty(ends, np.int64) for _ in range(3))
         pair_faces, per_pair = np.empty((ends, 2), np.int32), np.empty(ends, np.int64)
-        order = np.argsort(keys, kind="stable")
-        pairs = contour_kernels.match_hits(order, keys, owners, s.faces, first, second, pair_faces, per_pair, loop)
+        pairs = contour_kernels.match_hits(keys, owners, s.faces, first, second, pair_faces, per_pair, loop)
         self.first_hit: NDArray[np.int64] = first[:pairs]
         self.second_hit: NDArray[np.int64] = second[:pairs]
         self.loop_vertex: NDArray[np.int64] = loop[:pairs]
@@ -138,18 +140,22 @@ class Intersections:
         self.hit_contour = hit_contour
         self.hit_side = 1.0 - 2.0 * side
         self.contour_consistent = consistent[:count]
-        self.contour = hit_contour[self.first_hit] if len(self.first_hit) else np.zeros(0, np.int64)
+        self.contour = hit_contour[self.first_hit]
 
     def _draw(self) -> None:
         """Where the segments lie."""
-        found = self.hit_count
-        second = np.where(self.second_hit >= 0, self.second_hit, self.first_hit)
-        finish = self.points[second] if found else np.zeros((0, 3))
-        loops = self.loop_vertex >= 0
-        finish[loops] = self.vertices[self.loop_vertex[loops]]
-        start = self.points[self.first_hit] if found else np.zeros((0, 3))
-        self.segments = np.stack([start, finish], axis=1)
-        self.segment_lengths = np.linalg.norm(finish - start, axis=1)
+        count = len(self.first_hit)
+        self.segments = np.empty((count, 2, 3))
+        self.segment_lengths = np.empty(count)
+        contour_kernels.draw_segments(
+            self.vertices,
+            self.points,
+            self.first_hit,
+            self.second_hit,
+            self.loop_vertex,
+            self.segments,
+            self.segment_lengths,
+        )
 
     @property
     def pairs(self) -> IntArray:
@@ -207,6 +213,18 @@ class Intersections:
     def contours(self) -> list[Contour]:
         """Every contour with its kind, in order of its smallest hit."""
         return described(self)
+
+
+def _by_pair(
+    keys: NDArray[np.int64], owners: NDArray[np.int64], pairs: int, hits: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Keys below `pairs`, sorted, and their owners, ids below `hits`; those of a key are in ascending order as before."""
+    bits = hits.bit_length()
+    if pairs << bits > _LARGEST:
+        order = np.argsort(keys, kind="stable")
+        return keys[order], owners[order]
+    packed = np.sort((keys << bits) | owners)  # as one number, which is sorted in half the time
+    return packed >> bits, packed & ((1 << bits) - 1)
 
 
 @dataclass(frozen=True)

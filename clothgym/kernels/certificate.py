@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from clothgym._jit import bare, device, inlined, kernel
+from clothgym._jit import device, inlined, kernel
+from clothgym.kernels.joining import root_of
 from clothgym.kernels.near_pairs import KEEP, look, stir
 
 _ATTEMPTS = 4
@@ -61,14 +62,6 @@ def _needed(separation, thickness, quads, n):
     return KEEP * min(separation[n, 3], one, two)
 
 
-@bare
-def _find(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
 @device
 def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation, rounds):
     """Makes sure that no pair that was apart at x crosses on the straight way to p; changes p where needed.
@@ -114,9 +107,9 @@ def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation,
             if _gap(p, quads, n, kinds[n], separation) >= _needed(separation, thickness, quads, n) * 0.5:
                 continue
             joined = False
-            root = _find(parent, quads[n, 0])
+            root = root_of(parent, quads[n, 0])
             for k in range(1, 4):
-                other = _find(parent, quads[n, k])
+                other = root_of(parent, quads[n, k])
                 if other != root:
                     parent[max(root, other)] = min(root, other)
                     root = min(root, other)
@@ -129,7 +122,7 @@ def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation,
         mass[:] = 0.0
         held[:] = False
         for i in range(vertices):
-            root = _find(parent, i)
+            root = root_of(parent, i)
             if inverse_masses[i] == 0.0:
                 if not held[root]:
                     held[root] = True
@@ -142,7 +135,7 @@ def keep_apart(x, p, inverse_masses, thickness, quads, kinds, count, separation,
                     mean[root, c] += (p[i, c] - x[i, c]) / inverse_masses[i]
         moved = 0
         for i in range(vertices):
-            root = _find(parent, i)
+            root = root_of(parent, i)
             moved += root != i
             # a lone vertex is its own mean and stays where it was predicted
             for c in range(3):

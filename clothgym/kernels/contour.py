@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from clothgym._jit import device, inlined, kernel
+from clothgym._jit import bare, device, inlined, kernel
 from clothgym.kernels.primitives import edge_hits_triangle
 from clothgym.kernels.vec3 import cross, dot, length, triangle_normal, unit
 
@@ -23,14 +23,8 @@ _EXACT = 1e-9
 
 
 @inlined
-def _look_at(x, e0, e1, a0, a1, a2):
-    """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
-    predicates.
-
-    It passes by on one side of the face's plane or of one across the line of their centres, or outside the three sides of the
-    face; it hits if its ends lie on both sides of the plane and its line within all three sides. Branch-free; in flat
-    neighbourhoods, where every determinant is a tie, it is the line of the centres that tells.
-    """
+def _from_corner(x, e0, e1, a0, a1, a2):
+    """From the first corner of a face: its other corners and the ends of an edge; and the sum of all their sizes."""
     ux = x[a1, 0] - x[a0, 0]
     uy = x[a1, 1] - x[a0, 1]
     uz = x[a1, 2] - x[a0, 2]
@@ -43,11 +37,24 @@ def _look_at(x, e0, e1, a0, a1, a2):
     qx = x[e1, 0] - x[a0, 0]
     qy = x[e1, 1] - x[a0, 1]
     qz = x[e1, 2] - x[a0, 2]
+    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
+    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
+    return ux, uy, uz, wx, wy, wz, px, py, pz, qx, qy, qz, size
+
+
+@inlined
+def _look_at(x, e0, e1, a0, a1, a2):
+    """Whether an edge passes a face by, and whether it hits it, both by a safe margin: what neither says is left to the exact
+    predicates.
+
+    It passes by on one side of the face's plane or of one across the line of their centres, or outside the three sides of the
+    face; it hits if its ends lie on both sides of the plane and its line within all three sides. Branch-free; in flat
+    neighbourhoods, where every determinant is a tie, it is the line of the centres that tells.
+    """
+    ux, uy, uz, wx, wy, wz, px, py, pz, qx, qy, qz, size = _from_corner(x, e0, e1, a0, a1, a2)
     mx = 3.0 * (px + qx) - 2.0 * (ux + wx)
     my = 3.0 * (py + qy) - 2.0 * (uy + wy)
     mz = 3.0 * (pz + qz) - 2.0 * (uz + wz)
-    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
-    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
     low = dot(mx, my, mz, px, py, pz)
     other = dot(mx, my, mz, qx, qy, qz)
     low = low if low < other else other
@@ -137,20 +144,7 @@ def _in_plane_parameter(x, e0, e1, a0, a1, a2):
 def _volumes(x, e0, e1, a0, a1, a2):
     """Of a hit: whether these suffice, volumes under the face of e0 and e1 and those of the face's sides around the edge,
     opposite a0, a1, a2 [m^3]; by a safe margin all have the signs that exact ones have."""
-    ux = x[a1, 0] - x[a0, 0]
-    uy = x[a1, 1] - x[a0, 1]
-    uz = x[a1, 2] - x[a0, 2]
-    wx = x[a2, 0] - x[a0, 0]
-    wy = x[a2, 1] - x[a0, 1]
-    wz = x[a2, 2] - x[a0, 2]
-    px = x[e0, 0] - x[a0, 0]
-    py = x[e0, 1] - x[a0, 1]
-    pz = x[e0, 2] - x[a0, 2]
-    qx = x[e1, 0] - x[a0, 0]
-    qy = x[e1, 1] - x[a0, 1]
-    qz = x[e1, 2] - x[a0, 2]
-    size = abs(ux) + abs(uy) + abs(uz) + abs(wx) + abs(wy) + abs(wz)
-    size += abs(px) + abs(py) + abs(pz) + abs(qx) + abs(qy) + abs(qz)
+    ux, uy, uz, wx, wy, wz, px, py, pz, qx, qy, qz, size = _from_corner(x, e0, e1, a0, a1, a2)
     margin = _EXACT * size * size * size
     nx, ny, nz = cross(ux, uy, uz, wx, wy, wz)
     low = dot(nx, ny, nz, px, py, pz)
@@ -195,8 +189,17 @@ def place_hits(x, faces, edges, hit_edge, hit_face, parameters, weights, points)
 
 
 @kernel
+def end_count(hit_edge, edge_face_start):
+    """How many ends of segments there are: one per hit and face at its edge."""
+    count = 0
+    for h in range(hit_edge.shape[0]):
+        count += edge_face_start[hit_edge[h] + 1] - edge_face_start[hit_edge[h]]
+    return count
+
+
+@kernel
 def segment_ends(hit_edge, hit_face, edge_face_start, edge_face_ids, face_count, keys, owners):
-    """One entry per hit and face at its edge: the packed face pair and the hit. Returns the number of entries."""
+    """One entry (N,) per hit and face at its edge: the packed face pair and the hit."""
     n = 0
     for h in range(hit_edge.shape[0]):
         face = np.int64(hit_face[h])
@@ -205,25 +208,26 @@ def segment_ends(hit_edge, hit_face, edge_face_start, edge_face_ids, face_count,
             keys[n] = min(face, other) * face_count + max(face, other)
             owners[n] = h
             n += 1
-    return n
 
 
 @kernel
-def match_hits(order, keys, owners, faces, first, second, pair_faces, hits_per_pair, loop_vertex):
-    """Pairs of faces from the ends of `segment_ends` in the `order` (N,) of their keys; returns how many.
+def match_hits(keys, owners, faces, first, second, pair_faces, hits_per_pair, loop_vertex):
+    """Pairs of faces from the ends of `segment_ends`, sorted by their keys (N,), then owners; returns how many.
 
     Writes the two hits of each pair, -1 where there is one only, its faces (S, 2), how many hits it has, and, where that is
     one, the vertex that its faces share, at which the segment ends; -1 where they share none, or more than one.
     """
     pairs = 0
-    for n in range(order.shape[0]):
-        key = keys[order[n]]
-        if n > 0 and key == keys[order[n - 1]]:
+    last = np.int64(-1)
+    for n in range(keys.shape[0]):
+        key = keys[n]
+        if key == last:
             hits_per_pair[pairs - 1] += 1
             if hits_per_pair[pairs - 1] == 2:
-                second[pairs - 1] = owners[order[n]]
+                second[pairs - 1] = owners[n]
             continue
-        first[pairs] = owners[order[n]]
+        last = key
+        first[pairs] = owners[n]
         second[pairs] = -1
         pair_faces[pairs, 0] = key // faces.shape[0]
         pair_faces[pairs, 1] = key % faces.shape[0]
@@ -244,7 +248,7 @@ def match_hits(order, keys, owners, faces, first, second, pair_faces, hits_per_p
     return pairs
 
 
-@device
+@bare
 def _root(parent, parity, h):
     """Root of h and the parity of the path to it, with path compression."""
     root = h
@@ -303,53 +307,76 @@ def join_contours(first, second, hit_face, contour, side, consistent):
     return contours
 
 
-@device
-def edge_direction_sum(x, faces, edges, edge_face_start, edge_face_ids, edge, nx, ny, nz):
-    """S = sum_i R_i: unit directions of the segments that start at this hit, each into its face [Volino 2006, 2.1]."""
-    e0 = edges[edge, 0]
-    e1 = edges[edge, 1]
-    ex, ey, ez, _ = unit(x[e1, 0] - x[e0, 0], x[e1, 1] - x[e0, 1], x[e1, 2] - x[e0, 2])
-    sx = 0.0
-    sy = 0.0
-    sz = 0.0
-    for k in range(edge_face_start[edge], edge_face_start[edge + 1]):
-        b = edge_face_ids[k]
-        mx, my, mz, _ = triangle_normal(x, faces[b, 0], faces[b, 1], faces[b, 2])
-        rx, ry, rz = cross(nx, ny, nz, mx, my, mz)
-        size = length(rx, ry, rz)
-        if size < 1e-15:  # coplanar: no direction of its own
-            continue
-        o = faces[b, 0]
-        if o == e0 or o == e1:
-            o = faces[b, 1]
-        if o == e0 or o == e1:
-            o = faces[b, 2]
-        cx = x[o, 0] - x[e0, 0]
-        cy = x[o, 1] - x[e0, 1]
-        cz = x[o, 2] - x[e0, 2]
-        along = dot(cx, cy, cz, ex, ey, ez)
-        toward = dot(rx, ry, rz, cx - along * ex, cy - along * ey, cz - along * ez)
-        sign = 1.0 if toward > 0.0 else -1.0
-        sx += sign * rx / size
-        sy += sign * ry / size
-        sz += sign * rz / size
-    return sx, sy, sz
+@kernel
+def draw_segments(x, points, first, second, loop_vertex, segments, lengths):
+    """Segments (S, 2, 3) from their first hit to their second one, their loop vertex or nowhere, and their lengths (S,) [m]."""
+    for s in range(first.shape[0]):
+        total = 0.0
+        for c in range(3):
+            start = points[first[s], c]
+            finish = start
+            if loop_vertex[s] >= 0:
+                finish = x[loop_vertex[s], c]
+            elif second[s] >= 0:
+                finish = points[second[s], c]
+            segments[s, 0, c] = start
+            segments[s, 1, c] = finish
+            total += (finish - start) * (finish - start)
+        lengths[s] = math.sqrt(total)
+
+
+@bare
+def _normal(x, faces, face, normals, known):
+    """Unit normal of a face, as `triangle_normal`, kept in normals (F, 3) where it is known (F,)."""
+    if not known[face]:
+        known[face] = True
+        nx, ny, nz, _ = triangle_normal(x, faces[face, 0], faces[face, 1], faces[face, 2])
+        normals[face, 0] = nx
+        normals[face, 1] = ny
+        normals[face, 2] = nz
+    return normals[face, 0], normals[face, 1], normals[face, 2]
 
 
 @kernel
 def hit_frames(x, faces, edges, edge_face_start, edge_face_ids, hit_edge, hit_face, frames):
     """Per hit, frames (H, 8): S (3), N (3), kappa = (E.S)/(E.N) regularised, and kappa unregularised.
 
-    (E.S)/(E.N) is signed: no absolute value anywhere in it.
+    S = sum_i R_i: unit directions of the segments that start at this hit, each into its face [Volino 2006, 2.1]. (E.S)/(E.N)
+    is signed: no absolute value anywhere in it.
     """
+    # a contour meets every face that it passes at some hits in a row
+    normals = np.empty((faces.shape[0], 3), np.float64)
+    known = np.zeros(faces.shape[0], np.bool_)
     for h in range(hit_edge.shape[0]):
         edge = hit_edge[h]
         e0 = edges[edge, 0]
         e1 = edges[edge, 1]
         ex, ey, ez, _ = unit(x[e1, 0] - x[e0, 0], x[e1, 1] - x[e0, 1], x[e1, 2] - x[e0, 2])
-        face = hit_face[h]
-        nx, ny, nz, _ = triangle_normal(x, faces[face, 0], faces[face, 1], faces[face, 2])
-        sx, sy, sz = edge_direction_sum(x, faces, edges, edge_face_start, edge_face_ids, edge, nx, ny, nz)
+        nx, ny, nz = _normal(x, faces, hit_face[h], normals, known)
+        sx = 0.0
+        sy = 0.0
+        sz = 0.0
+        for k in range(edge_face_start[edge], edge_face_start[edge + 1]):
+            b = edge_face_ids[k]
+            mx, my, mz = _normal(x, faces, b, normals, known)
+            rx, ry, rz = cross(nx, ny, nz, mx, my, mz)
+            size = length(rx, ry, rz)
+            if size < 1e-15:  # coplanar: no direction of its own
+                continue
+            o = faces[b, 0]
+            if o == e0 or o == e1:
+                o = faces[b, 1]
+            if o == e0 or o == e1:
+                o = faces[b, 2]
+            cx = x[o, 0] - x[e0, 0]
+            cy = x[o, 1] - x[e0, 1]
+            cz = x[o, 2] - x[e0, 2]
+            along = dot(cx, cy, cz, ex, ey, ez)
+            toward = dot(rx, ry, rz, cx - along * ex, cy - along * ey, cz - along * ez)
+            sign = 1.0 if toward > 0.0 else -1.0
+            sx += sign * rx / size
+            sy += sign * ry / size
+            sz += sign * rz / size
         en = dot(ex, ey, ez, nx, ny, nz)
         es = dot(ex, ey, ez, sx, sy, sz)
         frames[h, 0] = sx

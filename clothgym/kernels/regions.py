@@ -8,22 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clothgym._jit import device, kernel
+from clothgym.kernels.joining import root_of
 from clothgym.kernels.vec3 import triangle_normal
 
 
 class Cuts(NamedTuple):
-    """Where contours cut the edges of a surface; H hits, sorted by contour in `order`."""
+    """Where contours cut the edges of a surface, as `Intersections` has it; H hits, S segments, C contours."""
 
     order: NDArray  # (H,) hits, contour by contour
     bounds: NDArray  # (C + 1,) of each contour in `order`
     edge: NDArray  # (H,) edge of each hit
     face: NDArray  # (H,) face of each hit
     side: NDArray  # (H,) +1 or -1
-    divided: NDArray  # (C,) bool: both sides are flooded for themselves; else all cuts of a contour work together
-    skipped: NDArray  # (C,) bool: no flood
-    wall_start: NDArray  # (C + 1,)
-    walls: NDArray  # loop vertices of each contour, through which no flood passes
-    extended: NDArray  # (C,) bool: where a border edge pierces a face, the cut goes on from there to the nearest border
+    consistent: NDArray  # (C,) bool: the sides of a contour can be told apart
+    contour: NDArray  # (S,)
+    hits_per_pair: NDArray  # (S,) two, but where a segment ends otherwise than at a second hit
+    loop_vertex: NDArray  # (S,) at which it does, -1 = none
 
 
 class Graph(NamedTuple):
@@ -55,12 +55,74 @@ class Enclosed(NamedTuple):
     start: NDArray  # (R + 1,)
 
 
+class Ends(NamedTuple):
+    """How contours end."""
+
+    wall_start: NDArray  # (C + 1,)
+    walls: NDArray  # loop vertices of each contour, through which no flood passes
+    borders: NDArray  # (C,) how many of its hits lie on a border
+    border_hits: NDArray  # (C, 2) the first of them
+    simple: NDArray  # (C,) bool: a line from border to border that meets no seam and misses no hit
+
+
 @device
-def _root(parent, r):
-    while parent[r] != r:
-        parent[r] = parent[parent[r]]
-        r = parent[r]
-    return r
+def _ends(cuts, graph):
+    """How contours end."""
+    contours = cuts.bounds.shape[0] - 1
+    borders = np.zeros(contours, np.int64)
+    border_hits = np.empty((contours, 2), np.int64)
+    simple = np.ones(contours, np.bool_)
+    for c in range(contours):
+        for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
+            e = cuts.edge[cuts.order[n]]
+            degree = graph.edge_face_start[e + 1] - graph.edge_face_start[e]
+            if degree == 2:
+                continue
+            if degree > 2:
+                simple[c] = False
+                continue
+            if borders[c] < 2:
+                border_hits[c, borders[c]] = cuts.order[n]
+            borders[c] += 1
+    wall_start = np.zeros(contours + 1, np.int64)
+    for s in range(cuts.contour.shape[0]):
+        if cuts.hits_per_pair[s] == 2:
+            continue
+        c = cuts.contour[s]
+        simple[c] = False
+        wall_start[c + 1] += cuts.loop_vertex[s] >= 0
+    for c in range(contours):
+        simple[c] &= borders[c] == 2
+        wall_start[c + 1] += wall_start[c]
+    walls = np.empty(wall_start[contours], np.int64)
+    if len(walls) > 0:
+        filled = wall_start.copy()
+        for s in range(cuts.contour.shape[0]):
+            if cuts.loop_vertex[s] >= 0:
+                c = cuts.contour[s]
+                walls[filled[c]] = cuts.loop_vertex[s]
+                filled[c] += 1
+    return Ends(wall_start, walls, borders, border_hits, simple)
+
+
+@device
+def _leaks(cuts, graph, ends, c, side, cut):
+    """Whether a simple contour that cuts no edge of this side twice is known to cut nothing off there.
+
+    It ends inside the surface of this side where a border of the other pierces it. A face that it ends in joins both ends of
+    the one edge that is cut there by way of its third corner, and a face that it passes joins those of its two cut edges that
+    lie on the same side of it: together, all ends of all cut edges.
+    """
+    free = 0
+    for n in range(2):
+        h = ends.border_hits[c, n]
+        if cuts.side[h] == side:
+            continue
+        f = cuts.face[h]
+        if np.int64(cut[graph.face_edges[f, 0]]) + cut[graph.face_edges[f, 1]] + cut[graph.face_edges[f, 2]] != 1:
+            return False
+        free += 1
+    return free > 0
 
 
 @device
@@ -116,13 +178,19 @@ def flood(cuts, graph, found, members):
     cut = np.zeros(graph.edges.shape[0], np.bool_)
     label = np.full(vertices, -1, np.int32)
     queue = np.empty(vertices, np.int32)
+    mine = np.empty(hits, np.int64)
     parent = np.empty(2 * hits, np.int32)
     growing = np.empty(2 * hits, np.int64)
     area = np.empty(2 * hits, np.float64)
     number = np.empty(2 * hits, np.int64)
-    root_of = np.empty(2 * hits, np.int64)
+    root_at = np.empty(2 * hits, np.int64)
     sizes = np.empty(2 * hits, np.int64)
-    faces = graph.face_edges.shape[0]
+    ends = _ends(cuts, graph)
+    # a contour with one loop vertex and one border goes on from where that border pierces a face to the nearest border
+    extending = False
+    for c in range(ends.borders.shape[0]):
+        extending |= ends.borders[c] == 1 and ends.wall_start[c + 1] - ends.wall_start[c] == 1
+    faces = graph.face_edges.shape[0] if extending else 0
     seen = np.full(faces, -1, np.int32)
     way = np.empty(faces, np.int32)
     came = np.empty(faces, np.int32)
@@ -133,28 +201,37 @@ def flood(cuts, graph, found, members):
         found.inside_end[h] = -1
         found.region[h] = -1
     for c in range(cuts.bounds.shape[0] - 1):
-        if cuts.skipped[c]:
+        if not cuts.consistent[c]:
             continue
-        for w in range(cuts.wall_start[c], cuts.wall_start[c + 1]):
-            label[cuts.walls[w]] = -2
-        for group in range(2 if cuts.divided[c] else 1):
-            side = 0.0 if not cuts.divided[c] else (1.0 if group == 0 else -1.0)
+        walls = ends.wall_start[c + 1] - ends.wall_start[c]
+        for w in range(ends.wall_start[c], ends.wall_start[c + 1]):
+            label[ends.walls[w]] = -2
+        # each side is flooded for itself, but where they meet at a loop vertex all cuts work together
+        for group in range(2 if walls == 0 else 1):
+            side = 0.0 if walls > 0 else (1.0 if group == 0 else -1.0)
+            count = 0
             for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                h = cuts.order[n]
-                if side == 0.0 or cuts.side[h] == side:
-                    cut[cuts.edge[h]] = not cut[cuts.edge[h]]
+                mine[count] = cuts.order[n]
+                count += side == 0.0 or cuts.side[cuts.order[n]] == side
+            twice = False
+            for n in range(count):
+                e = cuts.edge[mine[n]]
+                twice |= cut[e]
+                cut[e] = not cut[e]
+            if ends.simple[c] and not twice and _leaks(cuts, graph, ends, c, side, cut):
+                for n in range(count):
+                    cut[cuts.edge[mine[n]]] = False
+                continue
             extended = 0
-            for n in range(cuts.bounds[c], cuts.bounds[c + 1] if cuts.extended[c] else cuts.bounds[c]):
-                e = cuts.edge[cuts.order[n]]
-                if graph.edge_face_start[e + 1] - graph.edge_face_start[e] == 1:
-                    extended = _reach_border(cuts.face[cuts.order[n]], graph, cut, c, seen, way, came, extra)
+            if walls == 1 and ends.borders[c] == 1:
+                extended = _reach_border(cuts.face[ends.border_hits[c, 0]], graph, cut, c, seen, way, came, extra)
             for n in range(extended):
                 cut[extra[n]] = True
             seeds = 0
             tail = 0
-            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                h = cuts.order[n]
-                if (side != 0.0 and cuts.side[h] != side) or not cut[cuts.edge[h]]:
+            for n in range(count):
+                h = mine[n]
+                if not cut[cuts.edge[h]]:
                     continue
                 for end in range(2):
                     v = graph.edges[cuts.edge[h], end]
@@ -174,7 +251,7 @@ def flood(cuts, graph, found, members):
                 while head < tail and (alive > 1 or whole):
                     v = queue[head]
                     head += 1
-                    root = _root(parent, label[v])
+                    root = root_of(parent, label[v])
                     for k in range(graph.start[v], graph.start[v + 1]):
                         other = np.uint64(graph.neighbours[k])
                         known = label[other]
@@ -187,7 +264,7 @@ def flood(cuts, graph, found, members):
                             queue[tail] = other
                             tail += 1
                             continue
-                        met = _root(parent, known)
+                        met = root_of(parent, known)
                         if met != root:
                             parent[met] = root
                             area[root] += area[met]
@@ -212,22 +289,22 @@ def flood(cuts, graph, found, members):
                 if unfinished >= 0:
                     total = graph.component_areas[graph.component[queue[0]]]
                     area[unfinished] = max(total - closed, 0.0)
-                for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                    h = cuts.order[n]
+                for n in range(count):
+                    h = mine[n]
                     e = cuts.edge[h]
-                    if (side != 0.0 and cuts.side[h] != side) or not cut[e]:
+                    if not cut[e]:
                         continue
                     if label[graph.edges[e, 0]] < 0 or label[graph.edges[e, 1]] < 0:
                         continue
-                    first = _root(parent, label[graph.edges[e, 0]])
-                    second = _root(parent, label[graph.edges[e, 1]])
+                    first = root_of(parent, label[graph.edges[e, 0]])
+                    second = root_of(parent, label[graph.edges[e, 1]])
                     if first == second:
                         continue
                     found.inside_end[h] = 0 if area[first] < area[second] else 1
                     inside = first if area[first] < area[second] else second
                     if number[inside] < 0:
                         number[inside] = regions
-                        root_of[regions] = inside
+                        root_at[regions] = inside
                         found.contour[regions] = c
                         found.side[regions] = side
                         found.area[regions] = area[inside]
@@ -238,29 +315,29 @@ def flood(cuts, graph, found, members):
                     break
                 whole = True  # what still grows is the inside after all: its vertices are wanted
             for n in range(tail):
-                root = _root(parent, label[queue[n]])
+                root = root_of(parent, label[queue[n]])
                 if number[root] >= 0:
                     sizes[root] += 1
             for region in range(before, regions):
-                r = root_of[region]
+                r = root_at[region]
                 found.start[region] = used
                 used += sizes[r]
                 found.start[region + 1] = used
                 sizes[r] = found.start[region]
             for n in range(tail):
-                root = _root(parent, label[queue[n]])
+                root = root_of(parent, label[queue[n]])
                 if number[root] >= 0:
                     if sizes[root] < members.shape[0]:
                         members[sizes[root]] = queue[n]
                     sizes[root] += 1
             for n in range(tail):
                 label[queue[n]] = -1
-            for n in range(cuts.bounds[c], cuts.bounds[c + 1]):
-                cut[cuts.edge[cuts.order[n]]] = False
+            for n in range(count):
+                cut[cuts.edge[mine[n]]] = False
             for n in range(extended):
                 cut[extra[n]] = False
-        for w in range(cuts.wall_start[c], cuts.wall_start[c + 1]):
-            label[cuts.walls[w]] = -1
+        for w in range(ends.wall_start[c], ends.wall_start[c + 1]):
+            label[ends.walls[w]] = -1
     return regions, used
 
 
@@ -302,20 +379,3 @@ def count_crossings(x, faces, face_start, segments_of_face, segments, first_hit,
                     crossings[contour[a]] += 1
                     if contour[b] != contour[a]:
                         crossings[contour[b]] += 1
-
-
-@kernel
-def outward_normals(x, edges, hit_edge, frames, inside_end, normals):
-    """Per hit, normals (H, 3): that of its face, frames (H, 8), towards the end of its edge that is not inside_end (H,); 0
-    where that is -1."""
-    for h in range(hit_edge.shape[0]):
-        e0 = edges[hit_edge[h], 0]
-        e1 = edges[hit_edge[h], 1]
-        along = 0.0
-        for c in range(3):
-            along += (x[e1, c] - x[e0, c]) * frames[h, 3 + c]
-        along = -along if inside_end[h] == 1 else along
-        sign = 1.0 if along >= 0.0 else -1.0
-        sign = 0.0 if inside_end[h] < 0 else sign
-        for c in range(3):
-            normals[h, c] = sign * frames[h, 3 + c]

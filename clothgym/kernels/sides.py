@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from clothgym._jit import device, kernel
+from clothgym._jit import bare, device, kernel
 from clothgym.kernels.primitives import closest_on_triangle
 from clothgym.kernels.vec3 import dot, triangle_normal
 
@@ -12,8 +12,8 @@ BLOCK = 16
 """Consecutive faces that share a box, so that far ones are rejected together."""
 
 
-@kernel
-def face_boxes(x, faces, boxes, blocks):
+@device
+def fill_boxes(x, faces, boxes, blocks):
     """Fills boxes (F, 6) [low, high] of the faces and blocks (ceil(F / BLOCK), 6) of every BLOCK consecutive faces."""
     for f in range(len(faces)):
         b = f // BLOCK
@@ -28,6 +28,12 @@ def face_boxes(x, faces, boxes, blocks):
             else:
                 blocks[b, axis] = min(blocks[b, axis], low)
                 blocks[b, 3 + axis] = max(blocks[b, 3 + axis], high)
+
+
+@kernel
+def face_boxes(x, faces, boxes, blocks):
+    """`fill_boxes` for all faces of a surface."""
+    fill_boxes(x, faces, boxes, blocks)
 
 
 @device
@@ -52,6 +58,24 @@ def _closest_on_face(x, v, faces, f):
     return total, wa, wb, wc
 
 
+@bare
+def closest_in_boxes(x, v, faces, boxes, blocks, guess):
+    """Closest point to vertex v of some faces with their boxes: the face, its weights, the squared distance; first guess: the
+    face of a vertex nearby."""
+    best, wa, wb, wc = _closest_on_face(x, v, faces, guess)
+    chosen = guess
+    for b in range(len(blocks)):
+        if _box_distance2(x, v, blocks, b) >= best:
+            continue
+        for f in range(b * BLOCK, min((b + 1) * BLOCK, len(faces))):
+            if f == guess or _box_distance2(x, v, boxes, f) >= best:
+                continue
+            d, qa, qb, qc = _closest_on_face(x, v, faces, f)
+            if d < best:
+                best, wa, wb, wc, chosen = d, qa, qb, qc, f
+    return chosen, wa, wb, wc, best
+
+
 @kernel
 def closest_faces(x, first, faces, boxes, blocks, face, weights, distance):
     """Closest point of a surface to each vertex first, first + 1, ... of x: face, barycentric weights, distance [m].
@@ -60,22 +84,10 @@ def closest_faces(x, first, faces, boxes, blocks, face, weights, distance):
     """
     guess = 0
     for p in range(len(distance)):
-        v = first + p
-        best, wa, wb, wc = _closest_on_face(x, v, faces, guess)
-        chosen = guess
-        for b in range(len(blocks)):
-            if _box_distance2(x, v, blocks, b) >= best:
-                continue
-            for f in range(b * BLOCK, min((b + 1) * BLOCK, len(faces))):
-                if f == guess or _box_distance2(x, v, boxes, f) >= best:
-                    continue
-                d, qa, qb, qc = _closest_on_face(x, v, faces, f)
-                if d < best:
-                    best, wa, wb, wc, chosen = d, qa, qb, qc, f
-        face[p] = chosen
+        guess, wa, wb, wc, best = closest_in_boxes(x, first + p, faces, boxes, blocks, guess)
+        face[p] = guess
         weights[p, 0], weights[p, 1], weights[p, 2] = wa, wb, wc
         distance[p] = math.sqrt(best)
-        guess = chosen
 
 
 @kernel

@@ -85,7 +85,8 @@ def distribute(
     no vertex moves further than its cap (C,) [m]. `order` (H,) lists the hits by contour; adds to total (V, 3) [m].
     """
     scratch = np.zeros(total.shape, np.float64)
-    touched = np.empty(5 * hit_edge.shape[0], np.int64)
+    latest = np.full(total.shape[0], -1, np.int32)  # the contour, by its start, that has touched a vertex
+    touched = np.empty(total.shape[0], np.int32)
     start = 0
     count = hit_edge.shape[0]
     while start < count:
@@ -111,8 +112,10 @@ def distribute(
                 continue
             for k in range(5):
                 g = shares[k] * inverse_masses[ids[k]] / mobility
-                touched[used] = ids[k]
-                used += 1
+                if latest[ids[k]] != start:
+                    latest[ids[k]] = start
+                    touched[used] = ids[k]
+                    used += 1
                 for c in range(3):
                     scratch[ids[k], c] += g * targets[h, c]
         largest = 0.0

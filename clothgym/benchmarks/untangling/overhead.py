@@ -16,7 +16,8 @@ def run(parameters: dict[str, Any]) -> dict[str, Any]:
 
     Returns:
         hits; seconds, the least of the repeats: step, of a step with one pass; candidates: boxes and pairs of an edge and a
-        face; tests: exact tests; contours: grouping, sides, segments; response: gradients and their distribution.
+        face; tests: exact tests; contours: grouping, sides, segments; response: gradients and their distribution, and regions:
+        the part of it that finds what contours cut off, 0 for strategies that do not ask.
     """
     strategy = untangling.get(parameters["strategy"])
     if strategy is None:
@@ -56,8 +57,12 @@ def run(parameters: dict[str, Any]) -> dict[str, Any]:
             return (untangling.Context(*given, untangling.memory(strategy)),)
 
         seconds["response"] = _least(repeats, lambda given: untangling.answer(strategy, given), context)
+        (given,) = context()
+        untangling.answer(strategy, given)
+        asked = "enclosed" in given.__dict__
+        seconds["regions"] = _least(repeats, lambda given: given.enclosed, context) if asked else 0.0
     else:
-        seconds["contours"], seconds["response"] = 0.0, 0.0  # nothing asks for them
+        seconds |= dict.fromkeys(("contours", "response", "regions"), 0.0)  # nothing asks for them
 
     def restored() -> tuple[()]:
         simulation.restore(snapshot)

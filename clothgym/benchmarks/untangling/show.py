@@ -284,15 +284,18 @@ def _overhead(rows: list[Row]) -> Table:
         # boxes and pairs are those of contact anyway where candidates are shared
         cells.append(
             ("clean" if found["hits"] == 0 else "tangled", row["parameters"]["strategy"], found["hits"], 1e3 * step,
-             *(1e3 * times[key] for key in ("candidates", "tests", "contours", "response")), response,
+             *(1e3 * times[key] for key in ("candidates", "tests", "contours", "response")),
+             1e3 * times["regions"] if "regions" in times else None, response,
              response + times["tests"] / step, response + (times["tests"] + times["candidates"]) / step)
         )  # fmt: skip
     columns = (
         *("state", "strategy", "hits", "step [ms]", "candidates [ms]", "tests [ms]", "contours [ms]", "gradients [ms]"),
-        *("contours and gradients, share", "with tests", "with candidates"),
+        *("of it regions [ms]", "contours and gradients, share", "with tests", "with candidates"),
     )
     note = (
         "Of one pass, least of the repeats, process time; the step makes one pass. Candidates: boxes of the positions alone "
-        "and their pairs of edges and faces; a step looks for contact in boxes of its own, which hold many times as much."
+        "and their pairs of edges and faces; a step looks for contact in boxes of its own, which hold many times as much. "
+        "Gradients: with their distribution over the vertices, and with the flood that finds regions where a strategy asks "
+        "for them, which stands beside."
     )
     return Table("Cost of a pass beside a step", columns, cells, note)

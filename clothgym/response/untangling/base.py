@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,11 @@ class Context:
     h0: float
     g0: float
     memory: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def enclosed(self) -> Enclosed:
+        """The regions that contours cut off, by rest area; found when first asked for."""
+        return Enclosed(self.intersections, self.areas)
 
 
 @dataclass(frozen=True)
@@ -84,8 +90,8 @@ def together(context: Context, totals: FloatArray) -> FloatArray:
     hits = context.intersections
     targets = np.empty((hits.hit_count, 3))
     kernels.global_targets(totals, hits.hit_contour, hits.hit_side, context.h0, context.g0, targets)
-    broken = ~hits.contour_consistent[hits.hit_contour]
-    if broken.any():
+    if not hits.contour_consistent.all():
+        broken = ~hits.contour_consistent[hits.hit_contour]
         targets[broken] = local_targets(context)[broken]
     return targets
 
@@ -101,23 +107,6 @@ def local_targets(context: Context) -> FloatArray:
     targets = np.empty((hits.hit_count, 3))
     kernels.local_targets(hits.frames, context.h0, context.g0, targets)
     return targets
-
-
-def enclosed(context: Context) -> Enclosed:
-    """The regions that contours cut off, by rest area."""
-    return Enclosed(context.intersections, context.areas)
-
-
-def mean_direction(context: Context, directions: FloatArray, given: BoolArray) -> FloatArray:
-    """(C, 3) unit mean over each contour of the directions (H, 3) that are given (H,), turned by the side of their hits."""
-    hits = context.intersections
-    chosen = np.flatnonzero(given)
-    contour = hits.hit_contour[chosen]
-    turned = hits.hit_side[chosen, None] * directions[chosen]
-    sums = [np.bincount(contour, turned[:, axis], minlength=hits.contour_count) for axis in range(3)]
-    mean = np.stack(sums, axis=1) / np.maximum(np.bincount(contour, minlength=hits.contour_count), 1)[:, None]
-    size = np.linalg.norm(mean, axis=1)
-    return mean / np.where(size > 0.0, size, 1.0)[:, None]
 
 
 def marked(count: int, vertices: np.ndarray) -> BoolArray:

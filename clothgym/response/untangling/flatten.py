@@ -8,11 +8,12 @@ surface-flattening methods"].
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clothgym.arrays import FloatArray
 from clothgym.detection.contours import Enclosed
 from clothgym.kernels import untangling as kernels
-from clothgym.response.untangling.base import Context, Corrections, displacements, enclosed, marked
+from clothgym.response.untangling.base import Context, Corrections, displacements, marked
 from clothgym.response.untangling.hybrid import hybrid_targets
 
 _ENOUGH = 1.2
@@ -27,32 +28,36 @@ class Flatten:
     end there push no further than their regions reach, because beside a fold everything is near the wrong side."""
 
     def propose(self, context: Context) -> Corrections:
-        found = enclosed(context)
+        found = context.enclosed
         targets = hybrid_targets(context, found)
-        strides = reach(context, found)
-        targets *= (strides / context.h0)[context.intersections.hit_contour, None]
-        moved = displacements(context, targets, strides) + flattening(context)
+        loops = np.flatnonzero(context.intersections.loop_vertex >= 0)
+        if len(loops) == 0:
+            moved = displacements(context, targets)
+        else:
+            strides = reach(context, found, loops, targets)
+            moved = displacements(context, targets, strides) + flattening(context, loops)
         return Corrections(moved, marked(len(moved), found.inside))
 
 
-def reach(context: Context, found: Enclosed) -> FloatArray:
+def reach(context: Context, found: Enclosed, loops: NDArray[np.int64], targets: FloatArray) -> FloatArray:
     """(C,) [m] stride of each contour: h0, or, of those that end at loop vertices, a little more than the farthest inside end
-    of their edges has to go."""
+    of their edges has to go; their targets (H, 3) [m] shrink as much. `loops`: the segments that end there."""
     hits = context.intersections
-    edges, x = hits.surface.edges[hits.hit_edge], hits.vertices
-    inner = np.where(found.inside_end == 0, edges[:, 0], edges[:, 1])
-    way = np.abs(np.einsum("ij,ij->i", x[inner] - hits.points, hits.frames[:, 3:6])) * (found.inside_end >= 0)
+    at = np.flatnonzero(marked(hits.contour_count, hits.contour[loops])[hits.hit_contour])
+    contour, end, x = hits.hit_contour[at], found.inside_end[at], hits.vertices
+    inner = hits.surface.edges[hits.hit_edge[at], np.where(end == 0, 0, 1)]
+    way = np.abs(np.einsum("ij,ij->i", x[inner] - hits.points[at], hits.frames[at, 3:6])) * (end >= 0)
     farthest = np.zeros(hits.contour_count)
-    np.maximum.at(farthest, hits.hit_contour, way)
-    loops = marked(hits.contour_count, hits.contour[hits.loop_vertex >= 0]) & (farthest > 0.0)
-    return np.where(loops, np.minimum(_ENOUGH * farthest, context.h0), context.h0)
+    np.maximum.at(farthest, contour, way)
+    strides = np.where(farthest > 0.0, np.minimum(_ENOUGH * farthest, context.h0), context.h0)
+    targets[at] *= (strides / context.h0)[contour, None]
+    return strides
 
 
-def flattening(context: Context) -> np.ndarray:
-    """(V, 3) displacements [m] that smooth the surface around all loop vertices; both momenta are kept."""
+def flattening(context: Context, loops: NDArray[np.int64]) -> FloatArray:
+    """(V, 3) displacements [m] that smooth the surface around the loop vertices of these segments; both momenta are kept."""
     hits = context.intersections
     total = np.zeros_like(hits.vertices)
-    loops = np.flatnonzero(hits.loop_vertex >= 0)
     begin, neighbours, _ = hits.surface.neighbourhood
     centres, group = [], []
     for loop in loops:
@@ -60,8 +65,6 @@ def flattening(context: Context) -> np.ndarray:
         ring = np.concatenate([[v], neighbours[begin[v] : begin[v + 1]]])
         centres.append(ring)
         group.append(np.full(len(ring), hits.contour[loop]))
-    if not centres:
-        return total
     pairs = np.unique(np.column_stack([np.concatenate(group), np.concatenate(centres)]), axis=0)
     start, ids, shares, targets = [0], [], [], []
     for v in pairs[:, 1]:

@@ -11,7 +11,7 @@ import numpy as np
 from clothgym.arrays import FloatArray
 from clothgym.detection.contours import Enclosed
 from clothgym.kernels import untangling as kernels
-from clothgym.response.untangling.base import Context, Corrections, enclosed, marked
+from clothgym.response.untangling.base import Context, Corrections, marked
 
 _BEYOND = 0.1
 """Share of h0 that a vertex is pulled beyond the surface: on it, it would still be in the way."""
@@ -24,7 +24,7 @@ class GlobalIntersectionAnalysis:
 
     def propose(self, context: Context) -> Corrections:
         hits = context.intersections
-        found = enclosed(context)
+        found = context.enclosed
         total = np.zeros_like(hits.vertices)
         ids, shares, targets, group = _pulls(found, context.h0)
         if len(ids):
@@ -39,19 +39,13 @@ def _pulls(found: Enclosed, h0: float) -> tuple[np.ndarray, FloatArray, FloatArr
     """Vertices (N, 4) of each pull, an inside one and the face it goes to, their shares (N, 4), the relative displacement
     (N, 3) [m] and the contour (N,)."""
     x, faces = found.hits.vertices, found.hits.surface.faces
-    ids, shares, targets, group = [], [], [], []
-    for region in range(len(found)):
-        vertices, face, weights, distance = found.nearest(region)
-        if len(vertices) == 0:
-            continue
-        corners = faces[face]
-        way = np.einsum("nk,nkc->nc", weights, x[corners]) - x[vertices]
-        size = np.minimum(h0, distance + _BEYOND * h0) / np.maximum(distance, 1e-300)
-        ids.append(np.column_stack([vertices, corners]))
-        shares.append(np.column_stack([np.ones(len(vertices)), -weights]))
-        targets.append(way * size[:, None])
-        group.append(np.full(len(vertices), found.contour[region]))
-    if not ids:
-        return np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0, np.int64)
-    order = np.argsort(np.concatenate(group), kind="stable")
-    return tuple(np.ascontiguousarray(np.concatenate(part)[order]) for part in (ids, shares, targets, group))  # type: ignore[return-value]
+    behind, face, weights, distance = found.way_back
+    sizes = np.diff(found.start)
+    at = np.repeat(behind, sizes)
+    vertices, group = found.inside[at], np.repeat(found.contour, sizes)[at]
+    face, weights, distance = face[at], weights[at], distance[at]
+    corners = faces[face]
+    way = np.einsum("nk,nkc->nc", weights, x[corners]) - x[vertices]
+    size = np.minimum(h0, distance + _BEYOND * h0) / np.maximum(distance, 1e-300)
+    ids = np.column_stack([vertices, corners])
+    return ids, np.column_stack([np.ones(len(vertices)), -weights]), way * size[:, None], group

@@ -5,16 +5,17 @@ The paper's own suggestion (3.2: "identify intersection regions whenever possibl
 
 from __future__ import annotations
 
+import numpy as np
+
 from clothgym.arrays import FloatArray
 from clothgym.detection.contours import Enclosed
+from clothgym.kernels import pushes as kernels
 from clothgym.response.untangling.base import (
     Context,
     Corrections,
     displacements,
-    enclosed,
     global_targets,
     marked,
-    mean_direction,
 )
 
 
@@ -22,7 +23,7 @@ class Hybrid:
     """Where the two ends of a cut edge lie in different regions, the end in the smaller one is inside and goes back."""
 
     def propose(self, context: Context) -> Corrections:
-        found = enclosed(context)
+        found = context.enclosed
         moved = displacements(context, hybrid_targets(context, found))
         return Corrections(moved, marked(len(moved), found.inside))
 
@@ -31,12 +32,16 @@ def hybrid_targets(context: Context, found: Enclosed) -> FloatArray:
     """(H, 3) relative displacement of each hit."""
     hits = context.intersections
     targets = global_targets(context)
-    separated = found.inside_end >= 0
-    directions = found.outward()
-    mean = mean_direction(context, directions, separated)
-    # hits on a side that does not separate go with the others of their contour
-    beside = ~separated & marked(hits.contour_count, hits.hit_contour[separated])[hits.hit_contour]
-    directions[beside] = hits.hit_side[beside, None] * mean[hits.hit_contour[beside]]
-    pushed = separated | beside
-    targets[pushed] = context.h0 * directions[pushed]
+    kernels.push_out(
+        hits.vertices,
+        hits.surface.edges,
+        hits.hit_edge,
+        hits.frames,
+        hits.hit_contour,
+        hits.hit_side,
+        found.inside_end,
+        context.h0,
+        np.zeros((hits.contour_count, 4)),
+        targets,
+    )
     return targets

@@ -11,6 +11,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 from clothgym import cli
 from clothgym.benchmarks import Benchmark, frame
@@ -89,6 +90,7 @@ def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         "[clothgym.benchmarks]\nfake = fake_bench_plugin:benchmark\nother = fake_bench_plugin:other\n"
     )
     sys.path.insert(0, str(folder))
+    get_reusable_executor().shutdown(wait=True)  # its processes have the path of whatever file started them
     yield folder
     sys.path.remove(str(folder))
 

@@ -67,9 +67,8 @@ def factor(pattern: Pattern, body: Body) -> tuple[float, str]:
     tight = min(ratios, key=lambda name: ratios[name])
     ratio = ratios[tight]
     if ratio < _TIGHTEST:
-        most = (
-            max(_HOLDS / held, 1.0) if hangs else _LARGER
-        )  # what is tight and too wide at its top is held by the stretch
+        # what is tight and too wide at its top is held by the stretch
+        most = max(_HOLDS / held, 1.0) if hangs else _LARGER
         return min(_SNUG / ratio, most), f"{100 * ratio:.0f} % of the {tight} of {body.name}"
     if held > _HELD:
         return _HOLDS / held, f"its top is {100 * held:.0f} % of the girth that holds it on {body.name}"

@@ -40,8 +40,9 @@ meets the ground first, all that a substep moves it comes too late for its neigh
 _IMPACT_POWER = 0.65
 """Less excess takes as many more of them, by this power: between 1 / 2, of a load that lasts, and 1, of a blow."""
 _IMPACT_CELLS = 16.0
-_FINER_POWER = 0.35
-"""Cloth of more cells across takes as many more of them, by this power: the corner that is hit carries more."""
+_FINER_POWER = 0.5
+"""Cloth of more cells across takes as many more of them, by this power: at the corner that is hit, as at the tip of a crack,
+stress grows by the root of how finely it is looked at."""
 SPANNED = 3.0
 """Between held vertices that are not on one line cloth is taut like a drum: more than its weight pulls."""
 LEAST = 2.2

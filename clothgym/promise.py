@@ -48,6 +48,7 @@ SPANNED = 3.0
 LEAST = 2.2
 """Substeps in 1/60 s, over the root of the stretch, below which heights of a falling sheet are off by centimetres."""
 _GAIN = 0.9
+"""m sweeps of a substep divide its excess by m to this power."""
 _LEVEL = 0.02
 """Held vertices whose extent across their line is more than this of that along it span an area."""
 

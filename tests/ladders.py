@@ -1,8 +1,9 @@
-"""Small cloths whose motion is known, without self-collision."""
+"""Small cloths whose motion is known, most without self-collision."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import clothgym as cg
 from clothgym.kernels.integrate import Grips
@@ -29,3 +30,20 @@ def ladder(rungs: int, length: float = 1.0, top=(0, 1), stretched: float = 1.0, 
 
 def lone(cloth: cg.Cloth, **scene) -> cg.Scene:
     return cg.Scene([cloth], **({"self_collision": False} | scene))
+
+
+def rests_on_the_ground(fidelity: cg.Fidelity, self_collision: bool, steps: tuple[int, int], slowest: float) -> None:
+    """A sheet thrown along the ground 3 cm above it lies on it after the first steps, and stays through the second ones."""
+    mesh = cg.grid(0.4, 0.4, 4, 4)
+    material = cg.Material(thickness=4e-3, stretch=200.0, damping=2.0, friction=0.4)
+    scene = cg.Scene([cg.Cloth(mesh.transformed(translation=(0, 0.53, 0)), material, rest=mesh.vertices)], ground=0.5,
+                     self_collision=self_collision)  # fmt: skip
+    sim = cg.Simulation(scene, fidelity)
+    sim.set_velocities(np.tile([0.2, 0.0, 0.1], (25, 1)))
+    sim.step(steps[0])
+    assert sim.positions[:, 1] == pytest.approx(0.502, abs=2e-5)
+    rested = sim.positions.copy()
+    assert 0.005 < np.abs(rested - scene.start)[:, 0].max() < 0.2, "it slid a little, then friction stopped it"
+    sim.step(steps[1])
+    assert np.abs(sim.positions - rested).max() < 1e-5
+    assert sim.metrics()["max_speed"] < slowest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ladders import UPRIGHT, G, lone
+from ladders import UPRIGHT, G, lone, rests_on_the_ground
 
 import clothgym as cg
 
@@ -62,19 +62,8 @@ def test_strong_drag_brings_the_cloth_to_the_speed_of_the_wind():
 @pytest.mark.parametrize("integrator", ["xpbd", "symplectic_euler"])
 @pytest.mark.parametrize("self_collision", [False, True])
 def test_a_sheet_comes_to_rest_on_the_ground_and_stays(integrator, self_collision):
-    mesh = cg.grid(0.4, 0.4, 4, 4)
-    material = cg.Material(thickness=4e-3, stretch=200.0, damping=2.0, friction=0.4)
-    scene = cg.Scene([cg.Cloth(mesh.transformed(translation=(0, 0.53, 0)), material, rest=mesh.vertices)], ground=0.5,
-                     self_collision=self_collision)  # fmt: skip
-    sim = cg.Simulation(scene, cg.Fidelity(integrator=integrator, substeps=8 if integrator == "xpbd" else 0))
-    sim.set_velocities(np.tile([0.2, 0.0, 0.1], (25, 1)))
-    sim.step(60)
-    assert sim.positions[:, 1] == pytest.approx(0.502, abs=2e-5)
-    rested = sim.positions.copy()
-    assert 0.005 < np.abs(rested - scene.start)[:, 0].max() < 0.2, "it slid a little, then friction stopped it"
-    sim.step(60)
-    assert np.abs(sim.positions - rested).max() < 1e-5
-    assert sim.metrics()["max_speed"] < 1e-3
+    fidelity = cg.Fidelity(integrator=integrator, substeps=8 if integrator == "xpbd" else 0)
+    rests_on_the_ground(fidelity, self_collision, steps=(60, 60), slowest=1e-3)
 
 
 def test_frictionless_ground_does_not_stop_a_sheet():

@@ -1,8 +1,8 @@
 """Where a pattern's panels stand around a body before they are sewn.
 
 Patterns bring a placement that was made for some body. Fitting moves it: a garment with shoulders to the shoulders of this
-body, another one to where its top opening fits around the trunk. A pattern that is too tight at bust, waist or hips, or far
-too wide at all of them, is scaled as a whole; then panels that would cross the body are pushed outwards.
+body, a tube for one limb onto it, another one to where its top opening fits around the trunk, as high as its crotch may. What
+does not fit is scaled as a whole (`scaling`); then panels that would cross the body are pushed outwards.
 """
 
 from __future__ import annotations
